@@ -26,6 +26,8 @@ _MOST_DRAWN = 8.0
 #: A triangle is squeezed if its texels are this many cells long, and this many times longer than in a map
 #: that shows the mesh evenly.
 _LONG, _UNEVEN = 4.0, 16.0
+#: Largest distance, in texels, of a point inside a triangle from itself, computed by barycentrics.
+_INSIDE = 1e-6
 #: Rows of texels in one task.
 _ROWS = 128
 #: Points at which sizes of texels are compared; factors by which texels may be finer than a leaf.
@@ -50,6 +52,9 @@ def check_overlaps(
         shared = max(whole - covered, 0.0) / whole
         if shared > _MOST:
             shared = _differing(texture, mesh, names, layout, drawn)
+        if shared <= _MOST:  # texels of some triangles may show far more surface than others
+            areas = areas_of(mesh)[layout.faces] / np.bincount(layout.faces)[layout.faces]
+            shared = _differing(texture, mesh, names, layout, drawn, areas)
     if shared > _MOST:
         raise ModelError(
             f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, "
@@ -58,7 +63,7 @@ def check_overlaps(
 
 
 def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> None:
-    """Raise ModelError if texels of a map are so long that they cover differing areas."""
+    """Raise ModelError if texels of a map are so long, or so crowded, that they cover differing areas."""
     is_squeezed = squeezed(texture, mesh, size)
     if not is_squeezed.any():
         return
@@ -71,7 +76,10 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
     reach = np.minimum(reach, 0.5 / np.maximum(stretch[rows], 1e-300))
     part = np.random.default_rng(1).random((rows.size, 1))
     moved = np.clip(weights + part * reach[:, None] * steps, 0.0, 1.0)
-    differs = _differ(texture, mesh, names, (rows, weights), (rows, moved), width=cell_of(texture))
+    others = _in_same_texels(mesh, rows, weights, size)
+    width, points = cell_of(texture), (rows, weights)
+    differs = _differ(texture, mesh, names, points, (rows, moved), width=width)
+    differs |= _differ(texture, mesh, names, points, (rows[others], weights[others]), width=width)
     spread = float(differs.sum()) / _TRIED
     if spread > _MOST:
         raise ModelError(
@@ -80,17 +88,45 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
         )
 
 
-def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Drawn) -> float:
-    """Return the part of a map's triangles whose texels show another, differing area."""
+def _in_same_texels(mesh: Mesh, triangles: Int64s, weights: Float64s, size: int) -> Int64s:
+    """Return for each point (n,) another one in its texel of a map, at random, or itself if it is alone."""
+    assert mesh.uv is not None
+    uv = np.einsum("nk,nkx->nx", weights, mesh.uv.values[mesh.uv.rows[triangles]].astype(np.float64))
+    _, texels = np.unique(np.floor(size * (uv % 1.0)), axis=0, return_inverse=True)
+    texels = texels.reshape(-1)  # some versions of numpy return a column
+    order = np.lexsort((np.random.default_rng(2).random(texels.size), texels))
+    counts = np.bincount(texels)
+    ends = np.cumsum(counts)
+    after = np.arange(1, texels.size + 1)
+    after[ends - 1] = ends - counts  # the last of a texel is followed by the first
+    others = np.empty(texels.size, np.int64)
+    others[order] = order[after]
+    return others
+
+
+def _differing(
+    texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Drawn,
+    shares: Float64s | None = None,
+) -> float:  # fmt: skip
+    """Return the part of a map's triangles whose texels show another, differing area.
+
+    Triangles weigh by ``shares`` (k,), where only points inside both areas count; None: by area in the map.
+    """
     corners = layout.corners
     areas = np.abs(doubled_areas(corners))
-    chosen, weights = scattered(areas, _TRIED, 0)
+    chosen, weights = scattered(areas if shares is None else shares, _TRIED, 0)
     points = np.einsum("nk,nkx->nx", weights, corners[chosen])
     columns, rows = np.clip(points.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
     shown = drawn.triangles[rows, columns]
     other = (shown >= 0) & (layout.charts[shown] != layout.charts[chosen])
     chosen, shown, weights = chosen[other], shown[other], weights[other]
     theirs = barycentric_at(corners, shown, points[other])
+    if shares is not None:
+        nearest = np.einsum("nk,nkx->nx", theirs, corners[shown])
+        inside = (np.abs(nearest - points[other]) < _INSIDE).all(axis=1)
+        if inside.sum() <= _MOST * _TRIED:
+            return 0.0
+        chosen, shown, weights, theirs = chosen[inside], shown[inside], weights[inside], theirs[inside]
     width = np.sqrt(areas_of(mesh).sum() / max(float(areas.sum()) / 2, 1e-300))
     one, two = (layout.faces[chosen], weights), (layout.faces[shown], theirs)
     return float(_differ(texture, mesh, names, one, two, width=width).sum()) / _TRIED

@@ -124,12 +124,16 @@ def neighbors_of(faces: Int64s) -> tuple[Int32s, Int32s]:
 
 
 def _joined(corners: Float64s, others: Int32s, sides: Int32s) -> Bools:
-    """Return the sides (m, 3) across which the map continues like the surface; ``corners`` in texels."""
+    """Return the sides (m, 3) across which the map continues like the surface; ``corners`` in texels.
+
+    It does not where it folds, as between the halves of mirrored coordinates.
+    """
     there = np.maximum(others, 0), np.maximum(sides, 0)
     starts = corners[there[0], (there[1] + 1) % 3]  # the neighbour's side runs the other way
     same = np.abs(starts - corners).max(axis=-1) < _SAME
     same &= np.abs(corners[there] - np.roll(corners, -1, axis=1)).max(axis=-1) < _SAME
-    found: Bools = same & (others >= 0)
+    areas = doubled_areas(corners)
+    found: Bools = same & (others >= 0) & (areas[:, None] * areas[there[0]] >= 0.0)
     return found
 
 

@@ -221,9 +221,10 @@ class MaterialSource(Source):
         lanes = np.zeros((count, ends[-1]), np.int32)
         gains = np.ones((count, ends[-1]), np.float32)
         offsets = np.zeros((count, ends[-1]), np.float32)
-        stacks = _Stacks()
+        stacks, used = _Stacks(), set(np.unique(self.triangle_materials).tolist())
         for number, material in enumerate(self.materials):
-            lane_of = stacks.add(material, list(first_column), self._threshold(number))
+            names = list(first_column) if number in used else []  # others may lack coordinates
+            lane_of = stacks.add(material, names, self._threshold(number))
             for form, first in zip(self._channels, ends, strict=False):
                 columns = slice(first, first + form.components)
                 entry = material.inputs.get(form.name)
@@ -237,7 +238,7 @@ class MaterialSource(Source):
                     # The kernel multiplies alpha by its factor and by vertex colours before thresholds.
                     gains[number, columns] = 1.0 if form.name == "alpha" else entry.factor
                     offsets[number, columns] = entry.offset or 0.0
-                if entry is not None and entry.texture is not None:
+                if entry is not None and form.name in lane_of:
                     lanes[number, columns] = lane_of[form.name] + np.array(entry.lanes[: form.components])
         images, layout_of = store(stacks.texels, reads_mips(self._filter))
         rows_of_stacks = [(layout_of[image], *rest) for image, *rest in stacks.rows]

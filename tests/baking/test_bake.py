@@ -17,6 +17,7 @@ from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests.make import solids
+from tests.make.fixtures import random_image
 from tests.make.painted import ball, square, waves
 from tests.make.small_surfaces import whole
 
@@ -266,6 +267,57 @@ def test_squeezed_coordinates_are_kept_only_where_what_they_show_is_alike(across
         columns = flat.evaluate(seen)[np.argsort(seen.rest[:, 0])]
         assert columns[:200, 1].min() > 0.09  # left of the disc
         assert columns[1300:1400, 1].max() < 0.07
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-5])
+def test_coordinates_that_put_differing_triangles_into_one_texel_are_not_kept(size):
+    """As of models whose coordinates are all 0, with colours of faces."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]) + np.array([[0.0, 0, 0], [2, 0, 0]])[:, None]
+    colors = np.repeat([[200, 30, 30], [30, 30, 200]], 3, axis=0).astype(np.uint8)
+    surface = Surface.from_arrays(
+        corners.reshape(-1, 3),
+        np.arange(6).reshape(-1, 3),
+        uv=0.5 + size * corners.reshape(-1, 3)[:, :2],
+        colors=colors,
+    )
+    texture = octex.convert(surface, 5)
+    baked = octex.bake(texture, surface)
+    seen = surface.scatter(2000)
+    np.testing.assert_allclose(baked.evaluate(seen), texture.sample(seen, "base_color"), atol=4e-3)
+    with pytest.warns(ModelWarning, match="its texture coordinates are too small"):
+        octex.bake(texture, surface, uv="keep")
+
+
+def test_coordinates_that_overlap_in_a_small_part_of_the_map_but_on_much_of_the_surface_are_not_kept():
+    """Two squares share a thousandth of the map; a third one, a sixth of their area, has half of it."""
+    corners, sides = square(side=1.0, steps=1)
+    places = [corners, corners + np.array([2.0, 0.0, 0.0]), 0.4 * corners + np.array([4.0, 0.0, 0.0])]
+    spots = [0.03 * corners + 0.1, 0.03 * corners + 0.1, 0.7 * corners + 0.6]
+    points, uv = np.concatenate(places), np.concatenate(spots)[:, :2]
+    triangles = np.concatenate([sides + n * len(corners) for n in range(3)])
+    colors = np.repeat([[200, 30, 30], [30, 30, 200], [30, 200, 30]], len(corners), axis=0).astype(np.uint8)
+    surface = Surface.from_arrays(points, triangles, uv=uv, colors=colors)
+    texture = octex.convert(surface, 6)
+    seen = surface.scatter(2000)
+    baked = octex.bake(texture, surface)
+    np.testing.assert_allclose(baked.evaluate(seen), texture.sample(seen, "base_color"), atol=4e-3)
+    with pytest.raises(ModelError, match="texture coordinates overlap, and the overlapping areas differ"):
+        octex.bake(texture, surface, uv="keep")
+
+
+def test_mirrored_coordinates_are_kept_only_where_both_halves_are_alike():
+    """The halves of a square lie on one another in the map, folded along its middle."""
+    points, triangles = square(side=1.0, steps=8)
+    uv = np.column_stack([0.1 + np.abs(points[:, 0]), points[:, 1] + 0.5])
+    plain = Surface.from_arrays(points, triangles, uv=uv, image=random_image(16, 16))
+    texture = octex.convert(plain, 6)
+    kept = octex.bake(texture, plain, texture_size=128)
+    np.testing.assert_allclose(kept.uv.values[kept.uv.rows], plain.uv.values[plain.uv.rows], atol=1e-6)
+    seen = plain.scatter(2000)
+    assert psnr(kept.evaluate(seen), texture.sample(seen, "base_color")) > 30.0
+    half = octex.fill(texture, plain, octex.Box((0.0, -1.0, -1.0), (1.0, 1.0, 1.0)), (1.0, 0.0, 0.0))
+    baked = octex.bake(half, plain, texture_size=128)
+    assert psnr(baked.evaluate(seen), half.sample(seen, "base_color")) > 30.0
 
 
 @pytest.mark.parametrize("supersample", [1, 2])

@@ -44,6 +44,22 @@ def test_instances_of_the_extension_are_placed(tmp_path):
     np.testing.assert_allclose(surface.bounds, [[1, 0, 10], [7, 2, 10]])
 
 
+def test_hidden_nodes_and_those_below_them_are_not_shown(tmp_path):
+    gltf = Gltf()
+    mesh = gltf.add("meshes", primitives=[gltf.primitive()])
+    low = gltf.add("nodes", mesh=mesh)
+    below = gltf.add("nodes", mesh=mesh, children=[low])
+    hidden = {"KHR_node_visibility": {"visible": False}}
+    nodes = [
+        gltf.add("nodes", mesh=mesh, children=[below], extensions=hidden),
+        gltf.add("nodes", mesh=mesh, translation=[0, 0, 5], extensions={"KHR_node_visibility": {}}),
+    ]
+    gltf.json["scenes"][0]["nodes"] += nodes
+    gltf.json["extensionsRequired"] = ["KHR_node_visibility"]
+    surface = load_surface(gltf.save(tmp_path / "a.glb"))
+    np.testing.assert_array_equal(surface.bounds, [[0, 0, 5], [1, 1, 5]])
+
+
 @pytest.mark.parametrize("mode", [4, 5, 6])
 @pytest.mark.parametrize("indexed", [True, False])
 def test_lists_strips_and_fans_become_triangles(tmp_path, mode, indexed):

@@ -248,9 +248,16 @@ def test_bad_textures_of_a_ply_file_are_named(tmp_path):
         load_surface(ply(tmp_path / "a.ply", ply_square(), comments=comments))
     with pytest.raises(ModelError, match="a face names TextureFile 1, but there are 1"):
         load_surface(ply(tmp_path / "a.ply", ply_square(**ST, texnumber=("int", [0, 1])), comments=comments))
-    elsewhere = [f"TextureFile {tmp_path / 'wood.png'}"]
-    with pytest.raises(ImageError, match=r"a\.ply: .*wood\.png .*: absolute paths are not followed"):
+    elsewhere = ["TextureFile /dev/zero"]
+    with pytest.raises(ImageError, match=r"a\.ply: /dev/zero .*: absolute paths are not followed"):
         load_surface(ply(tmp_path / "a.ply", ply_square(**ST), comments=elsewhere))
+
+
+@pytest.mark.parametrize("name", [r"textures\wood.png", r"C:\scans\Wood.PNG", "/home/someone/wood.png"])
+def test_ply_textures_are_found_next_to_the_model_by_their_names(tmp_path, name):
+    (tmp_path / "wood.png").write_bytes(png(np.full((2, 2, 3), 51, np.uint8)))
+    surface = load_surface(ply(tmp_path / "a.ply", ply_square(**ST), comments=[f"TextureFile {name}"]))
+    np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), srgb_to_linear(0.2), rtol=1e-5)
 
 
 def off(path, text):

@@ -150,12 +150,16 @@ def test_names_in_the_code_page_of_windows_are_read(tmp_path):
     assert surface.evaluate(surface.scatter(50)).std() > 0.05
 
 
-def test_a_material_file_may_have_blanks_in_its_name_and_there_may_be_several(tmp_path):
+@pytest.mark.parametrize(
+    "libraries",
+    ["mtllib my wood.mtl # of oak\nmtllib red.mtl dark.mtl", "mtllib my wood.mtl red.mtl dark.mtl"],
+)
+def test_a_material_file_may_have_blanks_in_its_name_and_there_may_be_several(tmp_path, libraries):
     (tmp_path / "my wood.mtl").write_text(WOOD)
     (tmp_path / "red.mtl").write_text("newmtl red\nKd 1 0 0\n")
     (tmp_path / "dark.mtl").write_text("newmtl dark wood #2\nKd 0 0 0\n")
     (tmp_path / "wood.png").write_bytes(png(random_image(4, 4)))
-    lines = "mtllib my wood.mtl # of oak\nmtllib red.mtl dark.mtl\n" + OBJ_SQUARE
+    lines = f"{libraries}\n" + OBJ_SQUARE
     path = tmp_path / "a.obj"
     path.write_text(
         lines + "usemtl red # a colour\nf 1 2 3\nusemtl dark wood #2\nf 1 3 4\nusemtl wood\nf 1/1 2/2 3/3\n"

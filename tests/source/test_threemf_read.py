@@ -63,6 +63,31 @@ def test_slices_and_beams_are_left_out_with_a_warning(tmp_path):
         path = package(tmp_path / "a.3mf", {"3D/3dmodel.model": f"<resources>{content}</resources>{BUILD}"})
         with pytest.warns(ModelWarning, match=f"a.3mf: octex reads triangles, and leaves out {words};"):
             assert len(octex.load_surface(path).triangles) == 1
+    only = square(3, "").replace("</mesh>", beams)
+    path = package(tmp_path / "a.3mf", {"3D/3dmodel.model": f"<resources>{only}</resources>{BUILD}"})
+    with pytest.raises(ModelError, match=r"a\.3mf has no triangles; octex needs a surface, not slices"):
+        octex.load_surface(path)
+
+
+@pytest.mark.parametrize("painted", ['paint_color="4"', 'slic3rpe:mmu_segmentation="8"'])
+def test_filaments_that_a_slicer_painted_are_left_out_with_a_warning(tmp_path, painted):
+    content = square(3, f'<triangle v1="0" v2="1" v3="2" {painted}/>', 'xmlns:slic3rpe="http://x"')
+    path = package(tmp_path / "a.3mf", {"3D/3dmodel.model": f"<resources>{content}</resources>{BUILD}"})
+    with pytest.warns(ModelWarning, match=r"a\.3mf: colours painted in a slicer are not read; export"):
+        assert len(octex.load_surface(path).triangles) == 1
+
+
+def test_an_image_that_no_triangle_uses_changes_nothing(tmp_path):
+    places = '<m:tex2coord u="0" v="0"/>'
+    text = (
+        '<resources><m:texture2d id="1" path="/3D/Textures/a.png" contenttype="image/png"/>'
+        f'<m:texture2dgroup id="2" texid="1">{places}</m:texture2dgroup>'
+        '<m:colorgroup id="4"><m:color color="#FF0000"/></m:colorgroup>'
+        f"""{square(3, '<triangle v1="0" v2="1" v3="2"/>', 'pid="4" pindex="0"')}</resources>{BUILD}"""
+    )
+    parts = {"3D/3dmodel.model": text, "3D/Textures/a.png": saved(np.zeros((2, 2, 3), np.uint8))}
+    surface = octex.load_surface(package(tmp_path / "a.3mf", parts))
+    np.testing.assert_array_equal(surface.evaluate(surface.scatter(10)), [[1.0, 0.0, 0.0]] * 10)
 
 
 def test_images_lie_where_their_coordinates_say(tmp_path):

@@ -46,11 +46,14 @@ WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
 NEAREST = 9728
 #: The attribute of rest positions in models that carry an octree.
 _REST = f"{OCTREE_EXTENSION}:REST"
+_VISIBILITY = "KHR_node_visibility"
 _IMAGE_EXTENSIONS = ("EXT_texture_avif", "EXT_texture_webp", "KHR_texture_basisu")
 # Extensions that a file may require: octex reads them, or they change nothing that octex reads.
 _KNOWN_EXTENSIONS = {
-    DRACO, *MESHOPT, *_IMAGE_EXTENSIONS, "EXT_mesh_gpu_instancing", "KHR_animation_pointer",
-    "KHR_lights_punctual", "KHR_mesh_quantization", "KHR_texture_transform", "KHR_xmp_json_ld",
+    DRACO, *MESHOPT, *_IMAGE_EXTENSIONS, _VISIBILITY, "CESIUM_primitive_outline", "EXT_instance_features",
+    "EXT_lights_ies", "EXT_lights_image_based", "EXT_mesh_features", "EXT_mesh_gpu_instancing",
+    "EXT_structural_metadata", "KHR_animation_pointer", "KHR_lights_punctual", "KHR_mesh_quantization",
+    "KHR_texture_transform", "KHR_xmp_json_ld",
 }  # fmt: skip
 # Larger numbers are damage; products of two stay finite in single precision.
 _FARTHEST = 1e18
@@ -118,7 +121,11 @@ def _placed_primitives(document: Document, options: Options) -> list[PlacedPrimi
             )
     meshes: dict[int, list[Primitive]] = {}
     placed = []
+    hidden: set[int] = set()  # nodes, each listed before the nodes below it
     for number, node, matrix in scene_nodes(document):
+        if number in hidden or not node.get("extensions", {}).get(_VISIBILITY, {}).get("visible", True):
+            hidden.update(node.get("children", []))
+            continue
         if "mesh" not in node:
             continue
         if node["mesh"] not in meshes:
@@ -162,7 +169,9 @@ def _primitives(document: Document, number: int, options: Options) -> list[Primi
         with np.errstate(invalid="ignore"):  # of signalling NaNs
             positions = positions.astype(np.float64)
         if not options.finite and not np.isfinite(positions).all():
-            raise ModelError(f"{name} has vertices that are not finite; repair the model")
+            raise ModelError(
+                f"{name} has vertices that are not finite; repair the model (--repair leaves them out)"
+            )
         indices: Array = np.arange(len(positions))
         if triangles is not None:
             indices, mode = triangles.reshape(-1), _TRIANGLES

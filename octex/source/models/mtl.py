@@ -7,6 +7,7 @@ The specification (Alias|Wavefront, 1995) leaves open what numbers mean; octex f
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path, PureWindowsPath
@@ -54,15 +55,14 @@ def load_materials(
 ) -> tuple[dict[str, LoadedMaterial], dict[str, str], list[str]]:
     """Read the ``wanted`` materials of the mtllib ``lines`` of the OBJ file ``path``.
 
-    Each line names one file, whose name may have blanks, or several. Returns materials by name, the SHA-256
+    Each line names one file or several, whose names may have blanks. Returns materials by name, the SHA-256
     of each file read, by its path from the model, and the lines whose files are missing.
     """
     images = ImageFiles(path.parent)
     materials: dict[str, LoadedMaterial] = {}
     missing = []
     for line in lines:
-        whole = find_beside(path.parent, line)
-        for file in [find_beside(path.parent, word) for word in line.split()] if whole is None else [whole]:
+        for file in _libraries(path.parent, line):
             if file is not None:
                 data = read_bytes(file)
                 images.note(file, data)
@@ -93,6 +93,17 @@ def _entries(data: bytes, path: Path) -> Iterator[tuple[str, dict[str, str]]]:
             name, entries = rest.strip(), {}
         elif rest.strip():
             entries[key.lower()] = rest.strip()
+
+
+def _libraries(folder: Path, line: str) -> list[Path | None]:
+    """Return the files of an mtllib line, None for each that is missing."""
+    if (file := find_beside(folder, line)) is not None:
+        return [file]
+    readings = [
+        [find_beside(folder, name) for name in names]
+        for names in (line.split(), re.findall(r"\S.*?\.mtl\b", line))
+    ]
+    return max(readings, key=lambda files: len(files) - files.count(None))
 
 
 def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:

@@ -22,6 +22,7 @@ from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import Texels
 from octex.source.materials import Texture
 from octex.source.mesh import check_below
+from octex.source.models.mtl import find_beside
 from octex.source.models.reading import (
     Options,
     colored_surface,
@@ -217,9 +218,9 @@ class Ply:
         return whole_numbers(lists.values), lists.sizes
 
     def _image(self, image: str) -> Texels:
-        what = f"{self.name}: {image}"
+        what, folder = f"{self.name}: {image}", self.path.parent
         try:
-            data = read_bytes(referred(self.path.parent, image))
+            data = read_bytes(find_beside(folder, image) or referred(folder, image))
         except OSError as error:
             raise ImageError(
                 f"{what} cannot be read: {error.strerror or error}; put it next to the model"

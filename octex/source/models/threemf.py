@@ -32,6 +32,8 @@ _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
 _BLENDS = ("multiproperties", "compositematerials")
 _MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _NESTED = 64
+#: Attributes of triangles by which slicers store painted filaments.
+_PAINT = (b"slic3rpe:mmu_segmentation=", b"paint_color=")
 #: Largest size of a part over that of the package; text of meshes packs to a twentieth.
 _UNPACKED = 200
 #: Most bytes of placed meshes, in all and per byte of the package: components that share components multiply.
@@ -92,7 +94,7 @@ class _Package:
             for item in _elements(self._part(root), "build", "item")
             for mesh in self._placed(_path(item, root), item, 0)
         ]
-        if not meshes:
+        if not any(len(mesh.triangles) for mesh in meshes):
             raise ModelError(f"{self._name} has no triangles; octex needs a surface, not slices or beams")
         if self._left_out:
             left_out = " and ".join(sorted(self._left_out))
@@ -126,6 +128,8 @@ class _Package:
         data = self._read(part)
         if b"<!DOCTYPE" in data:  # the specification forbids them, and entities may blow up
             raise damaged(f"{self._name}: {part} has a document type, which 3MF forbids")
+        if any(b" " + word in data for word in _PAINT):
+            warn(f"{self._name}: colours painted in a slicer are not read; export vertex colours")
         try:
             return ElementTree.fromstring(data)
         except ElementTree.ParseError as error:

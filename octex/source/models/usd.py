@@ -217,7 +217,9 @@ class _Scene:
             corners = _rows(mesh.GetFaceVertexIndicesAttr().Get(self._time)).astype(np.int64)
             holes = _rows(mesh.GetHoleIndicesAttr().Get(self._time)).astype(np.int64)
         if not self._options.finite and not np.isfinite(positions).all():
-            raise ModelError(f"{what} has points that are not finite; repair the model")
+            raise ModelError(
+                f"{what} has points that are not finite; repair the model (--repair leaves them out)"
+            )
         if sizes.min(initial=0) < 0 or sizes.sum() != len(corners):
             raise damaged(f"{what}: its faces have {sizes.sum()} corners, its list {len(corners)}")
         check_below(corners, len(positions), f"{what} uses a point")
