@@ -65,10 +65,10 @@ def atlas_layout(
     outlines = _outlines(flat, charts, edges)
     area = float(outlines.areas.sum())
     low, high = mesh.bounds
-    wanted = float((high - low).max()) / (SIDE * texel)
+    needed_scale = float((high - low).max()) / (SIDE * texel)
     for size in sizes:
         is_last = size == sizes[-1]
-        least = 1.0 if is_last else wanted
+        least = 1.0 if is_last else needed_scale
         spacings = _spacings(size, padding, is_last)
         if padding is None and is_last:
             spacings = [
@@ -77,19 +77,19 @@ def atlas_layout(
         for spacing in spacings:
             if is_last and area > 0.0:
                 least = size * (_ENOUGH / area) ** 0.5 if spacing != spacings[-1] else area**-0.5
-            best, around = _fitted(outlines, size, spacing, least), spacing[0]
-            if best is not None:
+            packing, margin = _fitted(outlines, size, spacing, least), spacing[0]
+            if packing is not None:
                 break
-        if best is not None:
-            scale, shifts, turns = best
-            placed = scale * (flat @ turns[charts]) + shifts[charts][:, None]
+        if packing is not None:
+            scale, shifts, turns = packing
+            map_corners = scale * (flat @ turns[charts]) + shifts[charts][:, None]
             faces = np.arange(len(charts), dtype=np.int32)
-            points = (placed / size).reshape(-1, 2).astype(np.float32)
+            points = (map_corners / size).reshape(-1, 2).astype(np.float32)
             rows = welded(points)
             values = np.empty((int(rows.max()) + 1, 2), np.float32)
             values[rows] = points
             uv = Corners(values, rows.reshape(-1, 3))
-            return Layout(uv, placed, faces, charts, edges, size, size, around)
+            return Layout(uv, map_corners, faces, charts, edges, size, size, margin)
     raise ModelError(
         f"{mesh.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} texels; "
         f"make it larger{', or the padding smaller' if padding else ''}"
@@ -107,8 +107,8 @@ def _spacings(size: int, padding: int | None, is_last: bool) -> list[tuple[int, 
 def _gutters(outlines: _Outlines, size: int, padding: int) -> float:
     """Estimate the part of a map that padding takes, where charts fill the typical part."""
     area = max(float(outlines.areas.sum()), 1e-300)
-    around = 2.0 * float(outlines.reaches.sum()) * size * np.sqrt(_USUAL / area)
-    return float(around * padding + 4.0 * padding**2 * len(outlines.areas)) / size**2
+    area_per_texel = 2.0 * float(outlines.reaches.sum()) * size * np.sqrt(_USUAL / area)
+    return float(area_per_texel * padding + 4.0 * padding**2 * len(outlines.areas)) / size**2
 
 
 def _fitted(
@@ -121,28 +121,28 @@ def _fitted(
     area = float(outlines.areas.sum())
     sizes = outlines.reaches.max(axis=1)
     order = np.argsort(-sizes, kind="stable")
-    most = size * np.sqrt(_FULL / area) if area > 0.0 else least
-    low, placed = most, _packed(outlines, order, most, size, *spacing)
+    too_large = size * np.sqrt(_FULL / area) if area > 0.0 else least
+    scale, placed = too_large, _packed(outlines, order, too_large, size, *spacing)
     while placed is None:
-        if low <= least:
+        if scale <= least:
             return None
-        most, low = low, max(low / 2.0, least)
-        placed = _packed(outlines, order, low, size, *spacing)
-    while most > low * _CLOSE:
-        middle = np.sqrt(low * most)
-        tried = _packed(outlines, order, middle, size, *spacing)
-        if tried is None:
-            most = middle
+        too_large, scale = scale, max(scale / 2.0, least)
+        placed = _packed(outlines, order, scale, size, *spacing)
+    while too_large > scale * _CLOSE:
+        middle = np.sqrt(scale * too_large)
+        denser = _packed(outlines, order, middle, size, *spacing)
+        if denser is None:
+            too_large = middle
         else:
-            low, placed = middle, tried
+            scale, placed = middle, denser
     random = np.random.default_rng(0)
-    tries = int(_TRIED / len(sizes) * (_TRIED_BLOCKS * spacing[1] / size) ** 3)
-    for _ in range(min(tries, _MOST_TRIED)):
+    count = int(_TRIED / len(sizes) * (_TRIED_BLOCKS * spacing[1] / size) ** 3)
+    for _ in range(min(count, _MOST_TRIED)):
         shuffled = np.argsort(-sizes * random.uniform(*_SHUFFLED, sizes.size), kind="stable")
-        tried = _packed(outlines, shuffled, low * _CLOSER, size, *spacing)
-        if tried is not None:
-            low, placed = low * _CLOSER, tried
-    return low, *placed
+        denser = _packed(outlines, shuffled, scale * _CLOSER, size, *spacing)
+        if denser is not None:
+            scale, placed = scale * _CLOSER, denser
+    return scale, *placed
 
 
 def _by_xatlas(mesh: Mesh) -> Flattened:
@@ -159,7 +159,7 @@ def _by_xatlas(mesh: Mesh) -> Flattened:
     triangles = first_equal(mesh.rest)[mesh.triangles]
     options = xatlas.PackOptions()
     options.texels_per_unit, options.bruteForce = SIDE, False
-    corners, right, done = np.empty((len(triangles), 3, 2)), 0.0, 0
+    corners, right, flattened = np.empty((len(triangles), 3, 2)), 0.0, 0
     began = time.perf_counter()
     for piece in _pieces(positions[triangles].mean(axis=1), np.arange(len(triangles))):
         used, faces = np.unique(triangles[piece], return_inverse=True)
@@ -168,10 +168,10 @@ def _by_xatlas(mesh: Mesh) -> Flattened:
         atlas.generate(xatlas.ChartOptions(), options)
         _, rows, coordinates = atlas[0]
         corners[piece] = coordinates[rows].astype(np.float64) * (atlas.width, atlas.height) + (right, 0.0)
-        right, done = right + atlas.width + 1.0, done + len(piece)
-        needs = (time.perf_counter() - began) * len(triangles) / done
-        if needs > _PATIENCE and done < len(triangles):
-            raise ModelError(f'{mesh.name}: xatlas would take about {needs:.0f} seconds; choose uv="atlas"')
+        right, flattened = right + atlas.width + 1.0, flattened + len(piece)
+        seconds = (time.perf_counter() - began) * len(triangles) / flattened
+        if seconds > _PATIENCE and flattened < len(triangles):
+            raise ModelError(f'{mesh.name}: xatlas would take about {seconds:.0f} seconds; choose uv="atlas"')
     return Flattened(corners, *charts_of(mesh, corners))
 
 
@@ -206,26 +206,23 @@ def _outlines(flat: Float64s, charts: Int32s, edges: Bools) -> _Outlines:
     triangles, sides = triangles[order], sides[order]
     borders = np.stack([flat[triangles, sides], flat[triangles, (sides + 1) % 3]], axis=1)
     starts = np.append(np.flatnonzero(np.diff(charts[triangles], prepend=-1)), len(triangles))
-    turns = np.array([_turn(angle) for angle in np.radians(np.arange(0.0, 180.0, 5.0))])
-    least, best = np.full(len(areas), np.inf), np.zeros(len(areas), np.int64)
-    quarter = len(turns) // 2  # a turn that swaps width and height
-    for n, turn in enumerate(turns[:quarter]):
+    angles = np.radians(np.arange(0.0, 180.0, 5.0))
+    turns = np.array([[[np.cos(a), np.sin(a)], [-np.sin(a), np.cos(a)]] for a in angles])
+    least, best_turn = np.full(len(areas), np.inf), np.zeros(len(areas), np.int64)
+    half = len(turns) // 2  # a turn that swaps width and height
+    for n, turn in enumerate(turns[:half]):
         points = borders[:, 0] @ turn
         low, high = np.minimum.reduceat(points, starts[:-1]), np.maximum.reduceat(points, starts[:-1])
         width, height = (high - low).T
-        found = width * height < least
-        least[found] = (width * height)[found]
-        best[found] = np.where(width < height, n + quarter, n)[found]
+        is_better = width * height < least
+        least[is_better] = (width * height)[is_better]
+        best_turn[is_better] = np.where(width < height, n + half, n)[is_better]
     counts = np.diff(starts)
-    borders = borders @ turns[np.repeat(best, counts)]
+    borders = borders @ turns[np.repeat(best_turn, counts)]
     lows = np.minimum.reduceat(borders.min(axis=1), starts[:-1])
     borders -= np.repeat(lows, counts, axis=0)[:, None]
     reaches = np.maximum.reduceat(borders.max(axis=1), starts[:-1])
-    return _Outlines(borders, starts, turns[best], lows, reaches, areas)
-
-
-def _turn(angle: float) -> Float64s:
-    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return _Outlines(borders, starts, turns[best_turn], lows, reaches, areas)
 
 
 def _packed(
@@ -242,52 +239,53 @@ def _packed(
     if (scale * reaches + 2 * padding > size).any() or needed.sum() > size**2:
         return None
     free, longest = np.ones((blocks, blocks), np.bool_), np.full(blocks, blocks, np.int64)
-    tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # position of the last mask of each shape
+    last_places: dict[tuple[int, ...], tuple[int, Bools]] = {}  # position of the last mask of each shape
     shifts, turned = np.empty((len(areas), 2)), turns.copy()
     for n, chart in enumerate(order.tolist()):
         outline = scale * sides[starts[chart] : starts[chart + 1]]
-        best: tuple[int, ...] = ()
-        for spin in _QUARTERS if n < _MOST_TURNED else _QUARTERS[:1]:
-            reach = scale * reaches[chart] @ spin
+        best_end: tuple[int, ...] = ()
+        for quarter_turn in _QUARTERS if n < _MOST_TURNED else _QUARTERS[:1]:
+            reach = scale * reaches[chart] @ quarter_turn
             begin = np.minimum(reach, 0.0) - padding
             across, down = ((np.abs(reach) + 2 * padding) // block + 1).astype(np.int64)
             if max(across, down) > blocks:
                 continue
             mask = np.zeros((int(down), int(across)), np.bool_)
-            _mark((outline @ spin - begin) / block, padding / block, mask)
-            last, before = tried.get(mask.shape, (-1, mask))
-            at = _place(free, longest, mask, last + 1 if mask[before].all() else 0)
-            if at >= 0 and (not best or (at // blocks + len(mask), at % blocks) < best):
-                row, column = divmod(at, blocks)
-                best, chosen = (row + len(mask), column), mask
-                turned[chart] = turns[chart] @ spin
-                shifts[chart] = np.array([column, row]) * block - begin - scale * lows[chart] @ spin
-        if not best:
+            _mark((outline @ quarter_turn - begin) / block, padding / block, mask)
+            last, last_mask = last_places.get(mask.shape, (-1, mask))
+            block_number = _place(free, longest, mask, last + 1 if mask[last_mask].all() else 0)
+            row, column = divmod(block_number, blocks)
+            end = row + len(mask), column
+            if block_number >= 0 and (not best_end or end < best_end):
+                best_end, chosen = end, mask
+                turned[chart] = turns[chart] @ quarter_turn
+                shifts[chart] = np.array([column, row]) * block - begin - scale * lows[chart] @ quarter_turn
+        if not best_end:
             return None
-        row = best[0] - len(chosen)
-        tried[chosen.shape] = row * blocks + best[1], chosen
-        _take(free[row : best[0]], longest[row : best[0]], chosen, best[1])
+        row = best_end[0] - len(chosen)
+        last_places[chosen.shape] = row * blocks + best_end[1], chosen
+        _occupy(free[row : best_end[0]], longest[row : best_end[0]], chosen, best_end[1])
     return shifts, turned
 
 
 @kernel
-def _mark(sides: Float64s, around: float, mask: Bools) -> None:
-    """Mark the blocks inside an outline (k, 2, 2), in blocks, and those within ``around`` of it."""
+def _mark(sides: Float64s, margin: float, mask: Bools) -> None:
+    """Mark the blocks inside an outline (k, 2, 2), in blocks, and those within ``margin`` of it."""
     height, width = mask.shape
     winding = np.zeros((height, width + 1), np.int32)
     for n in range(sides.shape[0]):
         x, y = sides[n, 0, 0], sides[n, 0, 1]
         right, down = sides[n, 1, 0] - x, sides[n, 1, 1] - y
         for row in range(int(np.ceil(min(y, y + down) - 0.5)), int(np.ceil(max(y, y + down) - 0.5))):
-            at = x + right * (row + 0.5 - y) / down
-            winding[row, int(np.ceil(at - 0.5))] += 1 if down > 0.0 else -1
+            x_of_row = x + right * (row + 0.5 - y) / down
+            winding[row, int(np.ceil(x_of_row - 0.5))] += 1 if down > 0.0 else -1
         squared = right * right + down * down
-        first, last = max(int(min(x, x + right) - around), 0), int(max(x, x + right) + around)
+        first, last = max(int(min(x, x + right) - margin), 0), int(max(x, x + right) + margin)
         for row in range(
-            max(int(min(y, y + down) - around), 0), min(int(max(y, y + down) + around), height - 1) + 1
+            max(int(min(y, y + down) - margin), 0), min(int(max(y, y + down) + margin), height - 1) + 1
         ):
             for column in range(first, min(last, width - 1) + 1):
-                mask[row, column] |= _is_near(x - column, y - row, right, down, squared, around)
+                mask[row, column] |= _is_near(x - column, y - row, right, down, squared, margin)
     for row in range(height):
         turns = 0
         for column in range(width):
@@ -296,8 +294,8 @@ def _mark(sides: Float64s, around: float, mask: Bools) -> None:
 
 
 @part
-def _is_near(x: float, y: float, right: float, down: float, squared: float, around: float) -> bool:
-    """Return whether a side comes within ``around`` of the unit square; x, y is its start."""
+def _is_near(x: float, y: float, right: float, down: float, squared: float, margin: float) -> bool:
+    """Return whether a side comes within ``margin`` of the unit square; x, y is its start."""
     first, last = 0.0, 1.0  # the part of the side within the square
     for at, step in ((x, right), (y, down)):
         if step == 0.0:
@@ -308,17 +306,17 @@ def _is_near(x: float, y: float, right: float, down: float, squared: float, arou
             first, last = max(first, min(one, two)), min(last, max(one, two))
     if first <= last:
         return True
-    most = around * around
+    reach = margin * margin
     for _ in range(2):
-        across, over = max(-x, max(x - 1.0, 0.0)), max(-y, max(y - 1.0, 0.0))
-        if across * across + over * over <= most:
+        across, beyond = max(-x, max(x - 1.0, 0.0)), max(-y, max(y - 1.0, 0.0))
+        if across * across + beyond * beyond <= reach:
             return True
         x, y = x + right, y + down
     x, y = x - 2.0 * right, y - 2.0 * down
     for n in range(4):
-        across, over = n % 2 - x, n // 2 - y
-        along = min(max((across * right + over * down) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
-        if (across - along * right) ** 2 + (over - along * down) ** 2 <= most:
+        across, beyond = n % 2 - x, n // 2 - y
+        along = min(max((across * right + beyond * down) / squared, 0.0), 1.0) if squared > 0.0 else 0.0
+        if (across - along * right) ** 2 + (beyond - along * down) ** 2 <= reach:
             return True
     return False
 
@@ -358,7 +356,7 @@ def _place(free: Bools, longest: Int64s, mask: Bools, start: int) -> int:
 
 
 @kernel
-def _take(free: Bools, longest: Int64s, mask: Bools, column: int) -> None:
+def _occupy(free: Bools, longest: Int64s, mask: Bools, column: int) -> None:
     """Occupy a mask's blocks of rows, and update the rows' longest free runs."""
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):

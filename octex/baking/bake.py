@@ -10,21 +10,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, in_runs
 from octex.baking.blocks import TexelBlocks
 from octex.baking.coordinates import cell_of
-from octex.baking.directions import in_tangent_space, turned
+from octex.baking.directions import in_tangent_space, rotated
 from octex.baking.gutters import Borders, fill_up, gutter_of
-from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbors, steps_between
+from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbours_of_mesh, steps_between
 from octex.baking.maps import BITS, Bits, Values, alpha_mode, average, inputs_of, lacking
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
-from octex.baking.texels import Drawing, Drawn, Shown, texel_points
+from octex.baking.texels import Drawing, TexelPoints, TexelRows, texel_points
 from octex.channels import ALPHA, MATERIAL_CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Nearest, Triangles
 from octex.parallel import Progress, Run, as_run, ordered_map, sharing, workers
-from octex.source.corners import Corners, across, area_vectors, at_corners, unit
+from octex.source.corners import Corners, across, area_vectors, at_corners, unit, unit_normals
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.materials import AlphaMode, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
@@ -98,9 +98,9 @@ def bake(
     If all are opaque and the texture has alpha below 1, they become masked, or blended if many texels have
     alpha between 0 and 1. Constant channels become factors.
 
-    Raises ArgumentError for numbers out of range and for channels that the texture or the materials lack,
-    ModelError for texture coordinates that cannot be kept, for an atlas without room, and if ``source`` is
-    too far away everywhere. (Benson & Davis 2002, 6.3.)
+    Raises ArgumentError for numbers out of range and for channels that the texture or the materials lack.
+    Raises ModelError for texture coordinates that cannot be kept, for an atlas without room, and if
+    ``source`` is too far away everywhere. (Benson & Davis 2002, 6.3.)
     """
     as_texture(texture)
     as_surface(surface)
@@ -119,20 +119,20 @@ def bake(
     if source is None and max_distance is not None:
         raise ArgumentError("max_distance limits the distance to source; give source too")
     run = as_run(run, threads, progress)
-    other = None
+    original = None
     if source is None:
         surface = surface.placed_on(texture)
     else:
-        other = _Other.of(as_surface(source, "source"), texture, distance)
-    with workers(run) as given, sharing(given) as pool:
+        original = _Original.of(as_surface(source, "source"), texture, distance)
+    with workers(run) as executor, sharing(executor) as pool:
         run.report("unwrap", 0, 1)
         stored = [name for name in names if name in texture.channels]
-        detail = np.inf if other is None or len(stored) == len(names) else other.detail()
-        shown = stored or [*texture.channels]
-        sheets = sheets_of(texture, surface, shown, uv, texture_size, padding, pool, detail)
+        detail = np.inf if original is None or len(stored) == len(names) else original.detail()
+        probed = stored or [*texture.channels]
+        sheets = sheets_of(texture, surface, probed, uv, texture_size, padding, pool, detail)
         coordinates = coordinates_of(sheets, len(surface.triangles))
         run.report("unwrap", 1, 1)
-        job = _Job(texture, surface, other, sheets, coordinates, names, bits, supersample)
+        lookups = _Lookups(texture, surface, original, sheets, coordinates, names, bits, supersample)
         first, rows = 0, sum(sheet.layout.height for sheet in sheets)
         materials: list[Material] = []
         shows_any = False
@@ -143,8 +143,8 @@ def bake(
             def advance(stage: str, done: int, total: int, before: int = first) -> None:  # noqa: ARG001
                 run.report(stage, min(before + done * _BAND, rows), rows)
 
-            made, shows = _bake_sheet(job, sheet, pool, advance)
-            materials += made
+            baked_materials, shows = _bake_sheet(lookups, sheet, pool, advance)
+            materials += baked_materials
             shows_any |= shows
             first += sheet.layout.height
     if source is not None and not shows_any:
@@ -154,49 +154,48 @@ def bake(
         )
     baked = MaterialSource(
         materials, owners, surface.rest, surface.triangles,
-        coordinates=[coordinates], frames=job.frames, name=surface.name,
+        coordinates=[coordinates], frames=lookups.frames, name=surface.name,
     )  # fmt: skip
     return Surface(
         surface.vertices, surface.triangles, baked, rest=surface.rest, uv=coordinates,
-        frames=job.frames or surface.frames, name=surface.name, provenance=surface.provenance,
+        frames=lookups.frames or surface.frames, name=surface.name, provenance=surface.provenance,
     )  # fmt: skip
 
 
-def _bake_sheet(job: _Job, sheet: Sheet, pool: Executor, progress: Progress) -> tuple[list[Material], bool]:
+def _bake_sheet(
+    lookups: _Lookups, sheet: Sheet, pool: Executor, progress: Progress
+) -> tuple[list[Material], bool]:
     """Return the materials of a sheet with its maps, and whether the maps show anything."""
-    layout = sheet.layout
-    shown = layout._replace(faces=sheet.triangles[layout.faces])
-    maps = Values.of(job.names, layout.height, layout.width)
-    drawn = np.zeros(maps.areas.shape, np.bool_)
+    layout = sheet.layout._replace(faces=sheet.triangles[sheet.layout.faces])
+    maps = Values.of(lookups.names, layout.height, layout.width)
+    is_drawn = np.zeros(maps.areas.shape, np.bool_)
     ends = [*range(0, layout.height, _BAND), layout.height]
-    drawing = Drawing.of(shown.sized(job.supersample * layout.width))
-    tasks = [(job, drawing, slice(*each), maps, drawn) for each in pairwise(ends)]
+    drawing = Drawing.of(layout.sized(lookups.supersample * layout.width))
+    tasks = [(lookups, drawing, slice(*band), maps, is_drawn) for band in pairwise(ends)]
     for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=progress):
         pass
-    is_flat = np.abs(doubled_areas(shown.corners)) <= _FLAT
+    is_flat = np.abs(doubled_areas(layout.corners)) <= _FLAT
     if is_flat.any():
-        _bake_flat(job, shown.of(is_flat), drawn, maps)
-    if layout.padding and not drawn.all():
-        charts = shown.of(~is_flat)
-        parts = Borders.of(charts, drawn, math.ceil(_REACH * layout.padding)).parts(_GUTTER)
-        list(ordered_map(pool, lambda borders: _bake_gutter(job, charts, borders, maps), parts))
+        _bake_flat(lookups, layout.of(is_flat), is_drawn, maps)
+    if layout.padding and not is_drawn.all():
+        charts = layout.of(~is_flat)
+        parts = Borders.of(charts, is_drawn, math.ceil(_REACH * layout.padding)).parts(_GUTTER)
+        list(ordered_map(pool, lambda borders: _bake_gutter(lookups, charts, borders, maps), parts))
     shows_any = bool(maps.areas.any())
     if not maps.areas.all():
         fill_up(maps.values, (maps.areas > 0).astype(np.float32))
-    used = layout.uv.values[layout.uv.rows]
-    repeats = bool((used < 0.0).any() or (used > 1.0).any())
-    part = lacking(job.supersample, _blur(job, shown))
-    inputs = inputs_of(maps, job.bits, part, REPEAT if repeats else CLAMP, pool)
-    known = sheet.materials
-    modes: list[AlphaMode] = ["opaque"] * len(known)
+    uv = layout.uv.values[layout.uv.rows]
+    wrap = REPEAT if (uv < 0.0).any() or (uv > 1.0).any() else CLAMP
+    inputs = inputs_of(maps, lookups.bits, lacking(lookups.supersample, _blur(lookups, layout)), wrap, pool)
+    modes: list[AlphaMode] = ["opaque"] * len(sheet.materials)
     if ALPHA.name in maps.lanes:
         measured = alpha_mode(maps.channel(ALPHA.name))
-        modes = [each.alpha_mode if job.has_modes else measured for each in known]
-    made = [
-        Material(inputs, mode, name=each.name, double_sided=each.double_sided)
-        for each, mode in zip(known, modes, strict=True)
+        modes = [old.alpha_mode if lookups.has_modes else measured for old in sheet.materials]
+    materials = [
+        Material(inputs, mode, name=old.name, double_sided=old.double_sided)
+        for old, mode in zip(sheet.materials, modes, strict=True)
     ]
-    return made, shows_any
+    return materials, shows_any
 
 
 def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None, has_normals: bool) -> list[str]:
@@ -213,17 +212,17 @@ def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None, has_nor
     return names
 
 
-class _Other(NamedTuple):
-    """Another surface of the same object, from which the texture was made."""
+class _Original(NamedTuple):
+    """The surface that the texture was made from, where another mesh of the same object is baked."""
 
     surface: Surface  # with the texture's rest positions
     nearest: Triangles  # with the baked surface's rest positions
     normals: Float64s  # (m, 3)   of its triangles, in the texture's space
     shading: Corners  # its shading normals, in the baked surface's space
-    distance: float
+    distance: float  # the largest to the baked surface
 
     @classmethod
-    def of(cls, surface: Surface, texture: OctreeTexture, distance: float) -> _Other:
+    def of(cls, surface: Surface, texture: OctreeTexture, distance: float) -> _Original:
         """Prepare a surface."""
         nearest = Triangles.of(surface.rest, surface.triangles, surface.name)
         if surface.frames is None:
@@ -232,8 +231,7 @@ class _Other(NamedTuple):
         else:
             shading = surface.frames.normals
         placed = surface.placed_on(texture)
-        flat = unit(area_vectors(placed.rest[placed.triangles]))
-        return cls(placed, nearest, flat, shading, distance)
+        return cls(placed, nearest, unit_normals(placed.rest[placed.triangles]), shading, distance)
 
     def detail(self) -> float:
         """Return half the edge of a typical triangle: texels this wide hold its shading normals."""
@@ -241,29 +239,29 @@ class _Other(NamedTuple):
 
     def facing(self, points: Float64s, normals: Float64s, squares: Float64s) -> Nearest:
         """Return the nearest points on the same side of creases; on any side if farther than ``squares``."""
-        found = self.nearest.nearest(points, normals, distance=self.distance, least_cosine=_SAME_SIDE)
-        far = np.flatnonzero(found.squares > squares)
+        nearest = self.nearest.nearest(points, normals, distance=self.distance, least_cosine=_SAME_SIDE)
+        far = np.flatnonzero(nearest.squares > squares)
         if far.size:
             anywhere = self.nearest.nearest(
                 points[far], normals[far], distance=self.distance, least_cosine=0.0
             )
-            found.triangles[far], found.barycentric[far], found.squares[far] = anywhere
-        return found
+            nearest.triangles[far], nearest.barycentric[far], nearest.squares[far] = anywhere
+        return nearest
 
 
-class _Job:
-    """The data that all texels share, and the lookups."""
+class _Lookups:
+    """The lookups of all texels, and the data that they share."""
 
     def __init__(
-        self, texture: OctreeTexture, surface: Surface, other: _Other | None, sheets: list[Sheet],
+        self, texture: OctreeTexture, surface: Surface, original: _Original | None, sheets: list[Sheet],
         coordinates: Corners, names: list[str], bits: int, supersample: int,
     ) -> None:  # fmt: skip
-        self.texture, self.surface, self.other, self.names = texture, surface, other, names
+        self.texture, self.surface, self.original, self.names = texture, surface, original, names
         self.bits = bits
         self.supersample = supersample  # lookups along each side of a texel
         self.has_modes = any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials)
         #: (m, 3)   the triangle beyond each side, and the number of the side there
-        self.others, self.sides = neighbors(surface)
+        self.neighbours, self.sides = neighbours_of_mesh(surface)
         rest, flat = surface.rest[surface.triangles], coordinates.values[coordinates.rows].astype(np.float64)
         for sheet in sheets:
             flat[sheet.triangles] *= supersample * sheet.layout.width, supersample * sheet.layout.height
@@ -276,7 +274,7 @@ class _Job:
         crosses = area_vectors(rest)
         self.normals, self.areas = unit(crosses), np.linalg.norm(crosses, axis=1) / 2.0
         self.blocks = None
-        if other is None:
+        if original is None:
             self.blocks = TexelBlocks.of(texture, names, self.normals, self.dPdx, self.dPdy)
         self.frames = None
         if NORMAL.name in names:
@@ -287,58 +285,57 @@ class _Job:
         self, triangles: Int32s, rest: Float64s, derivatives: tuple[Float64s, Float64s] | None
     ) -> tuple[Float32s, Bools | None]:
         """Return the channels side by side at points of triangles (n,), and which points have any."""
-        normals, there = self.normals[triangles], None
+        normals, has_values = self.normals[triangles], None
         barycentric = np.empty((0, 3))
-        if self.other is not None:
-            nearest = self.other.facing(rest, normals, self.areas[triangles])
-            there = nearest.triangles >= 0
-            triangles, barycentric = nearest.triangles[there], nearest.barycentric[there]
-            rest = self.other.surface.rest_at(triangles, barycentric)
-            normals = self.other.normals[triangles]
-            derivatives = derivatives and (derivatives[0][there], derivatives[1][there])
+        if self.original is not None:
+            nearest = self.original.facing(rest, normals, self.areas[triangles])
+            has_values = nearest.triangles >= 0
+            triangles, barycentric = nearest.triangles[has_values], nearest.barycentric[has_values]
+            rest = self.original.surface.rest_at(triangles, barycentric)
+            normals = self.original.normals[triangles]
+            derivatives = derivatives and (derivatives[0][has_values], derivatives[1][has_values])
         dPdx, dPdy = derivatives or (None, None)
         names = [name for name in self.names if name in self.texture.channels]
         values = self.texture.sample(rest, names, dPdx=dPdx, dPdy=dPdy, normals=normals, threads=1)
         if len(names) < len(self.names):
-            assert self.other is not None
-            shading = unit(self.other.shading.at(triangles, barycentric)).astype(np.float32)
+            assert self.original is not None
+            shading = unit(self.original.shading.at(triangles, barycentric)).astype(np.float32)
             values[NORMAL.name] = shading
-        return np.concatenate([values[name] for name in self.names], axis=1), there
+        return np.concatenate([values[name] for name in self.names], axis=1), has_values
 
     def write(
         self, texels: Int32s, triangles: Int32s, rest: Float64s,
         derivatives: tuple[Float64s, Float64s] | None, values: Float32s, areas: Float32s,
     ) -> None:  # fmt: skip
         """Write the channels at points to texels ``texels`` (n,); texels without any get area 0."""
-        found, there = self.sampled(triangles, rest, derivatives)
-        if there is not None:
-            areas[texels[~there]] = 0.0
-            texels = texels[there]
-        put_rows(found, texels, values)
+        samples, has_values = self.sampled(triangles, rest, derivatives)
+        if has_values is not None:
+            areas[texels[~has_values]] = 0.0
+            texels = texels[has_values]
+        put_rows(samples, texels, values)
 
 
-def _blur(job: _Job, shown: Layout) -> float:
+def _blur(lookups: _Lookups, layout: Layout) -> float:
     """Return the part of a mean's variance in lookups; those up to a leaf wide return the field itself."""
-    corners = shown.corners
-    areas = np.abs(doubled_areas(corners))
-    leaf = job.supersample * cell_of(job.texture)
-    blur = 1.0 - np.minimum(leaf / np.maximum(job.sizes[shown.faces], leaf), 1.0) ** 2
+    areas = np.abs(doubled_areas(layout.corners))
+    leaf = lookups.supersample * cell_of(lookups.texture)
+    blur = 1.0 - np.minimum(leaf / np.maximum(lookups.sizes[layout.faces], leaf), 1.0) ** 2
     return float((areas * blur).sum() / max(float(areas.sum()), 1e-300))
 
 
-def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:
+def _bake_band(task: tuple[_Lookups, Drawing, slice, Values, Bools]) -> None:
     """Write the channels at the texels of a band of rows, and the covered part of each texel."""
-    job, drawing, band, maps, is_drawn = task
-    n, lanes = job.supersample, maps.values.shape[2]
+    lookups, drawing, band, maps, is_drawn = task
+    n, lanes = lookups.supersample, maps.values.shape[2]
     drawn = drawing.rows(n * band.start, n * band.stop)
     is_drawn[band] = (drawn.triangles >= 0).reshape(-1, n, maps.areas.shape[1], n).any(axis=(1, 3))
     values, areas = maps.values[band], maps.areas[band]
     if n == 1:
         areas[:] = drawn.areas
-        _bake_drawn(job, drawing.layout, drawn, band.start, maps.lanes, values.reshape(-1, lanes), areas)
+        _bake_drawn(lookups, drawing.layout, drawn, band.start, maps.lanes, values.reshape(-1, lanes), areas)
         return
     fine = np.zeros((drawn.areas.size, lanes), np.float32)
-    _bake_drawn(job, drawing.layout, drawn, n * band.start, maps.lanes, fine, drawn.areas)
+    _bake_drawn(lookups, drawing.layout, drawn, n * band.start, maps.lanes, fine, drawn.areas)
     average(fine.reshape(*drawn.areas.shape, lanes), drawn.areas, n, values, areas)
     if NORMAL.name in maps.lanes:
         normals = values[..., maps.lanes[NORMAL.name]]
@@ -346,41 +343,43 @@ def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:
 
 
 def _bake_drawn(
-    job: _Job, layout: Layout, drawn: Drawn, first: int, lanes: Mapping[str, slice], values: Float32s,
-    areas: Float32s,
+    lookups: _Lookups, layout: Layout, drawn: TexelRows, first: int, lanes: Mapping[str, slice],
+    values: Float32s, areas: Float32s,
 ) -> None:  # fmt: skip
     """Write the channels of rows from ``first`` on; texels without a value get area 0."""
-    surface = job.surface
-    shown = texel_points(layout.corners, layout.faces, drawn, first, surface.rest, surface.triangles)
-    if not shown.texels.size:
+    surface = lookups.surface
+    points = texel_points(layout.corners, layout.faces, drawn, first, surface.rest, surface.triangles)
+    if not points.texels.size:
         return
-    missed = np.arange(shown.texels.size)
-    if job.blocks is not None:
-        missed = job.blocks.look_up(shown, values)
-    triangles = shown.each()
+    missed = np.arange(points.texels.size)
+    if lookups.blocks is not None:
+        missed = lookups.blocks.look_up(points, values)
+    triangles = points.triangle_of_each()
     if missed.size:
-        on, derivatives = triangles[missed], None
-        if not job.is_fine[on].all():
-            derivatives = job.dPdx[on], job.dPdy[on]
-        job.write(shown.texels[missed], on, shown.rest[missed], derivatives, values, areas.reshape(-1))
-    if job.frames is not None:
-        normals = lanes[NORMAL.name]
-        directions = np.take(values[:, normals], shown.texels, axis=0)
-        values[shown.texels, normals] = in_tangent_space(directions, job.frames, triangles, shown.barycentric)
+        owners, derivatives = triangles[missed], None
+        if not lookups.is_fine[owners].all():
+            derivatives = lookups.dPdx[owners], lookups.dPdy[owners]
+        texels, rest = points.texels[missed], points.rest[missed]
+        lookups.write(texels, owners, rest, derivatives, values, areas.reshape(-1))
+    if lookups.frames is not None:
+        lane = lanes[NORMAL.name]
+        directions = np.take(values[:, lane], points.texels, axis=0)
+        normals = in_tangent_space(directions, lookups.frames, triangles, points.barycentric)
+        values[points.texels, lane] = normals
 
 
-def _bake_flat(job: _Job, layout: Layout, is_drawn: Bools, maps: Values) -> None:
+def _bake_flat(lookups: _Lookups, layout: Layout, is_drawn: Bools, maps: Values) -> None:
     """Write the channels of flat triangles to the texels that they read and no other triangle covers."""
     rows, barycentric = _points_on(layout)
     triangles = layout.faces[rows]
-    values, there = job.sampled(triangles, job.surface.rest_at(triangles, barycentric), None)
-    if there is not None:
-        rows, barycentric, triangles = rows[there], barycentric[there], triangles[there]
-    if job.frames is not None:
-        normals = maps.lanes[NORMAL.name]
-        values[:, normals] = in_tangent_space(values[:, normals], job.frames, triangles, barycentric)
-    corners = job.surface.rest[job.surface.triangles[layout.faces]]
-    areas = np.linalg.norm(area_vectors(corners), axis=1)
+    rest = lookups.surface.rest_at(triangles, barycentric)
+    values, has_values = lookups.sampled(triangles, rest, None)
+    if has_values is not None:
+        rows, barycentric, triangles = rows[has_values], barycentric[has_values], triangles[has_values]
+    if lookups.frames is not None:
+        lane = maps.lanes[NORMAL.name]
+        values[:, lane] = in_tangent_space(values[:, lane], lookups.frames, triangles, barycentric)
+    areas = 2.0 * lookups.areas[layout.faces]
     texels, means = _means_at_texels(layout, rows, barycentric, values, areas)
     is_free = ~is_drawn.reshape(-1)[texels]
     put_rows(means[is_free], texels[is_free], maps.values.reshape(-1, means.shape[1]))
@@ -394,7 +393,7 @@ def _points_on(layout: Layout) -> tuple[Int64s, Float64s]:
     along = _ALONG * lengths * min(1.0, _MOST_POINTS / max(_ALONG * float(lengths.sum()), 1.0))
     counts = _POINTS + along.astype(np.int64)
     rows = np.repeat(np.arange(counts.size), counts)
-    number = np.arange(rows.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    number = in_runs(np.zeros(counts.size, np.int64), counts)
     # The sequence R2: whole multiples of two powers of the plastic number's inverse.
     root, part = np.sqrt(number * 0.7548776662466927 % 1.0), number * 0.5698402909980532 % 1.0
     return rows, np.stack([1.0 - root, root * (1.0 - part), root * part], axis=1)
@@ -405,44 +404,46 @@ def _means_at_texels(
 ) -> tuple[Int32s, Float32s]:
     """Return the texels that points (n,) read bilinearly, and the means there, by area (t, lanes)."""
     corners = layout.corners.reshape(-1, 2)
-    rows = 3 * triangles[:, None] + np.arange(3)
-    columns, lines = np.floor(at_corners(corners, rows, barycentric) - 0.5).astype(np.int64).T
-    read = [
-        np.clip(lines + down, 0, layout.height - 1) * layout.width
+    corner_rows = 3 * triangles[:, None] + np.arange(3)
+    columns, rows = np.floor(at_corners(corners, corner_rows, barycentric) - 0.5).astype(np.int64).T
+    taps = [
+        np.clip(rows + down, 0, layout.height - 1) * layout.width
         + np.clip(columns + right, 0, layout.width - 1)
         for down, right in np.ndindex(2, 2)
     ]
-    texels, which = np.unique(np.concatenate(read), return_inverse=True)
+    texels, texel_of = np.unique(np.concatenate(taps), return_inverse=True)
     weights = np.tile((areas / np.maximum(np.bincount(triangles, minlength=areas.size), 1))[triangles], 4)
-    totals = np.maximum(np.bincount(which, weights), 1e-300)
-    lanes = [np.bincount(which, weights * np.tile(lane, 4)) / totals for lane in values.T]
+    totals = np.maximum(np.bincount(texel_of, weights), 1e-300)
+    lanes = [np.bincount(texel_of, weights * np.tile(lane, 4)) / totals for lane in values.T]
     return texels.astype(np.int32), np.stack(lanes, axis=1).astype(np.float32)
 
 
-def _bake_gutter(job: _Job, layout: Layout, borders: Borders, maps: Values) -> None:
+def _bake_gutter(lookups: _Lookups, layout: Layout, borders: Borders, maps: Values) -> None:
     """Write the channels of gutter texels, as large as the chart's texels, in the plane of their triangle."""
-    mesh = job.surface
-    gutter = gutter_of(borders, layout, mesh.rest, mesh.triangles, job.others, job.sides)
+    mesh = lookups.surface
+    gutter = gutter_of(borders, layout, mesh.rest, mesh.triangles, lookups.neighbours, lookups.sides)
     texels = gutter.texels
     values, areas = maps.values.reshape(-1, maps.values.shape[2]), maps.areas.reshape(-1)
     rest = mesh.rest_at(gutter.triangles, gutter.barycentric)
     areas[texels] = 1.0
-    left = np.arange(texels.size)
-    if job.blocks is not None and job.supersample == 1:
+    missed = np.arange(texels.size)
+    if lookups.blocks is not None and lookups.supersample == 1:
         starts = np.flatnonzero(np.diff(gutter.triangles, prepend=-1)).astype(np.int32)
         ends = np.append(starts, np.int32(texels.size))
-        shown = Shown(texels, rest, gutter.barycentric, ends, gutter.triangles[starts])
-        sizes = job.sizes[gutter.beside] / np.maximum(job.sizes[gutter.triangles], 1e-300)
-        is_unlike = np.abs(sizes - 1.0) > _ALIKE
-        is_unlike[job.blocks.look_up(shown, values)] = True
-        left = np.flatnonzero(is_unlike)
-    if left.size:
-        on, size = gutter.triangles[left], job.sizes[gutter.beside[left]]
-        wide = across(job.normals[on]) * size[:, None]
-        job.write(texels[left], on, rest[left], (wide, np.cross(job.normals[on], wide)), values, areas)
-    if job.frames is not None:
-        both = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
-        shading = [unit(job.frames.normals.at(*each)) for each in both]
-        normals = maps.lanes[NORMAL.name]
-        directions = turned(values[texels, normals], *shading)
-        values[texels, normals] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)
+        points = TexelPoints(texels, rest, gutter.barycentric, ends, gutter.triangles[starts])
+        ratios = lookups.sizes[gutter.beside] / np.maximum(lookups.sizes[gutter.triangles], 1e-300)
+        is_missed = np.abs(ratios - 1.0) > _ALIKE
+        is_missed[lookups.blocks.look_up(points, values)] = True
+        missed = np.flatnonzero(is_missed)
+    if missed.size:
+        owners, size = gutter.triangles[missed], lookups.sizes[gutter.beside[missed]]
+        normals = lookups.normals[owners]
+        dPdx = across(normals) * size[:, None]
+        derivatives = dPdx, np.cross(normals, dPdx)
+        lookups.write(texels[missed], owners, rest[missed], derivatives, values, areas)
+    if lookups.frames is not None:
+        ends_of_path = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
+        before, after = (unit(lookups.frames.normals.at(*end)) for end in ends_of_path)
+        lane = maps.lanes[NORMAL.name]
+        directions = rotated(values[texels, lane], before, after)
+        values[texels, lane] = in_tangent_space(directions, lookups.frames, gutter.beside, gutter.edges)

@@ -1,8 +1,8 @@
 """Looks up the field at the texels of a triangle, in blocks: the cells around a block are decoded once.
 
 A triangle's texels share one normal and one pattern of samples (`octex.field.footprints`). So a cell's
-weights for the normal, its area and alpha are multiplied into its values once, and each sample sums at most
-27 of these. The texels of a block lie close together, and so does each half of them. Compared with lookups
+values are multiplied once by its weights for the normal, its area and alpha. Each sample sums at most 27 of
+these products. The texels of a block lie close together, and so does each half of them. Compared with lookups
 point by point this halves the time of a bake; results differ by rounding.
 """
 
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s
-from octex.baking.texels import Shown
+from octex.baking.texels import TexelPoints
 from octex.field.footprints import long_footprints, spread
 from octex.field.splines import QUADRATIC, single_quadratic_weights
 from octex.field.taps import Codes
@@ -33,6 +33,8 @@ _VOLUME, _ROOM = 4096, 1 << 15
 _BLOCKS = 1 << 13
 #: Most rows of a cell: one facing per axis.
 _ROWS = 3
+#: Smaller sums of weights have lost their digits.
+_LEAST = 1e-20
 _NO_AREAS = np.empty(0, np.uint8)
 
 
@@ -53,7 +55,7 @@ class _Level(NamedTuple):
     samples: Patterns
 
 
-class _Listed(NamedTuple):
+class _CellLists(NamedTuple):
     """Cells of blocks, and the rows of values that they consist of."""
 
     #: (blocks, 9)   first and end of its texels, the lowest cell along x, y and z, cells along x and y, its
@@ -84,52 +86,56 @@ class TexelBlocks(NamedTuple):
     ) -> TexelBlocks | None:
         """Prepare channels for triangles (m,) with texels' dPdx, dPdy (m, 3); None for adaptive trees."""
         field = texture._field
-        rows = {name: stored(texture.channels[name]) for name in {*names, *({"alpha"} & {*texture.channels})}}
+        values = {
+            name: stored(texture.channels[name]) for name in {*names, *({"alpha"} & {*texture.channels})}
+        }
         if field.tiles is None:
             return None
-        alpha = rows["alpha"].codes if "alpha" in rows and rows["alpha"].is_alpha else None
+        alpha = values["alpha"].codes if "alpha" in values and values["alpha"].is_alpha else None
         shape = long_footprints(dPdx, dPdy, 0.0, ANISOTROPY, 0.0)
         size = texture.placement.size
         levels = []
-        parts: dict[int, list[tuple[Int64s, Float64s, Float32s]]] = {}
+        samples_of: dict[int, list[tuple[Int64s, Float64s, Float32s]]] = {}
         for run, by_level in spread(np.zeros_like(dPdx), shape, size, texture.tree.max_depth, QUADRATIC):
-            for level, samples in by_level.items():
-                owners = samples.owners.astype(np.int64) + run.start
-                parts.setdefault(level, []).append(
-                    (owners, samples.points.astype(np.float64) / size, samples.shares)
+            for level, level_samples in by_level.items():
+                owners = level_samples.owners.astype(np.int64) + run.start
+                samples_of.setdefault(level, []).append(
+                    (owners, level_samples.points.astype(np.float64) / size, level_samples.shares)
                 )
-        for level, found in sorted(parts.items()):
-            owners, offsets, shares = (np.concatenate(each) for each in zip(*found, strict=True))
+        for level, samples in sorted(samples_of.items()):
+            owners, offsets, shares = (np.concatenate(arrays) for arrays in zip(*samples, strict=True))
             starts = np.searchsorted(owners, np.arange(len(dPdx) + 1)).astype(np.int32)
-            here = field.level(level)
-            areas = _NO_AREAS if here is field else field.areas_of_averages(level)[: here.tree.n_cells]
-            assert here.tiles is not None
-            levels.append(_Level(here.tiles, here.facings, areas, Patterns(starts, offsets, shares)))
+            averages = field.level(level)
+            areas = _NO_AREAS
+            if averages is not field:
+                areas = field.areas_of_averages(level)[: averages.tree.n_cells]
+            assert averages.tiles is not None
+            levels.append(_Level(averages.tiles, averages.facings, areas, Patterns(starts, offsets, shares)))
         components = [texture.channels[name].format.components for name in names]
         firsts = np.cumsum([0, *components]).tolist()
-        codes, is_alpha = ([getattr(rows[name], word) for name in names] for word in ("codes", "is_alpha"))
-        facing = normals.astype(np.float32)
+        codes, is_alpha = [values[name].codes for name in names], [values[name].is_alpha for name in names]
         return cls(
-            texture.placement, facing, levels, alpha, codes, firsts[:-1], is_alpha, firsts[-1]
+            texture.placement, normals.astype(np.float32), levels, alpha, codes, firsts[:-1], is_alpha,
+            firsts[-1],
         )  # fmt: skip
 
-    def look_up(self, shown: Shown, values: Float32s) -> Int64s:
+    def look_up(self, points: TexelPoints, values: Float32s) -> Int64s:
         """Write components to ``values`` (points, n_lanes); return the texels that have none."""
-        n = shown.texels.size
+        n = points.texels.size
         weighs = int(self.alpha is not None)
         planes = -(-(1 + weighs + self.n_lanes) // 4)
         sums, failed = np.zeros((n, planes, 4), np.float32), np.zeros(n, np.bool_)
         coefficients = np.empty((planes * _ROOM, 4), np.float32)
-        room = _Listed(
+        room = _CellLists(
             np.empty((_BLOCKS, 9), np.int64), np.empty(_ROOM, np.int32), np.empty(_ROOM, np.float32),
             np.empty(_ROWS * _ROOM, np.int32), np.empty(_ROWS * _ROOM, np.uint32),
             np.empty(_ROWS * _ROOM, np.float32),
         )  # fmt: skip
         for level in self.levels:
             group = texel = 0
-            while group < shown.triangles.size:
-                group, texel, n_blocks, n_cells, n_rows = _list(
-                    *level, shown, self.normals, *self.placement, group, texel, room, failed
+            while group < points.triangles.size:
+                group, texel, n_blocks, n_cells, n_rows = _list_cells(
+                    *level, points, self.normals, *self.placement, group, texel, room, failed
                 )
                 used = coefficients[: planes * n_cells]
                 used[:] = 0.0
@@ -143,50 +149,48 @@ class TexelBlocks(NamedTuple):
                 for codes, lane, is_alpha in zip(self.codes, self.lanes, self.is_alpha, strict=True):
                     shares = weights if is_alpha else covered
                     _decode(cells, rows, shares, codes, 1 + weighs + lane, planes, used)
-                place = level.tiles.depth, level.samples, shown, *self.placement
-                _evaluate(*place, room, n_blocks, n_cells, used, sums)
+                geometry = level.tiles.depth, level.samples, points, *self.placement
+                _evaluate(*geometry, room, n_blocks, n_cells, used, sums)
         divisors = np.zeros(self.n_lanes, np.int32)
         for codes, lane, is_alpha in zip(self.codes, self.lanes, self.is_alpha, strict=True):
             divisors[lane : lane + codes.values.shape[1]] = weighs and not is_alpha
         missed = np.empty(n, np.int64)
-        return missed[: _divide(sums, divisors, 1 + weighs, failed, shown.texels, values, missed)]
+        return missed[: _divide(sums, divisors, 1 + weighs, failed, points.texels, values, missed)]
 
 
 @inlined
-def _reach(
-    shown: Shown, samples: Patterns, triangle: int, begin: int, end: int, axis: int, scale: float, low: float
-) -> tuple[float, float]:
-    """Return the least and the largest coordinate, in texture space, of the samples of texels."""
+def _cells_around(
+    points: TexelPoints, samples: Patterns, triangle: int, begin: int, end: int, axis: int, scale: float,
+    low: float, cells: float,
+) -> tuple[int, int]:  # fmt: skip
+    """Return the first of the cells along an axis that the samples of texels read, and their number."""
     least, most = np.inf, -np.inf
     for n in range(begin, end):
-        at = (shown.rest[n, axis] - low) * scale
-        least, most = min(least, at), max(most, at)
+        coordinate = (points.rest[n, axis] - low) * scale
+        least, most = min(least, coordinate), max(most, coordinate)
     before, after = np.inf, -np.inf
     for sample in range(samples.starts[triangle], samples.starts[triangle + 1]):
         offset = samples.offsets[sample, axis]
         before, after = min(before, offset), max(after, offset)
-    return min(max(least + before, 0.0), 1.0), min(max(most + after, 0.0), 1.0)
-
-
-@inlined
-def _cell_of(x: float, cells: float) -> int:
-    return int(min(np.floor(x * cells), cells - 1.0))
+    first = int(min(np.floor(min(max(least + before, 0.0), 1.0) * cells), cells - 1.0))
+    last = int(min(np.floor(min(max(most + after, 0.0), 1.0) * cells), cells - 1.0))
+    return first - 1, last - first + 3
 
 
 @kernel
-def _list(
-    tiles: Tiles, facings: Facings, areas: Uint8s, samples: Patterns, shown: Shown, normals: Float32s,
-    origin: tuple[float, float, float], size: float, group: int, texel: int, room: _Listed, failed: Bools,
+def _list_cells(
+    tiles: Tiles, facings: Facings, areas: Uint8s, samples: Patterns, points: TexelPoints, normals: Float32s,
+    origin: tuple[float, float, float], size: float, group: int, texel: int, room: _CellLists, failed: Bools,
 ) -> tuple[int, int, int, int, int]:  # fmt: skip
     """List the cells around texels as far as there is room; return where to continue, and the counts."""
     cells, scale = float(1 << tiles.depth), 1.0 / size
     n_blocks = n_cells = n_rows = 0
     first_row, one, none = facings.flags.size, np.uint64(1), np.float32(0.0)
     parts = np.zeros(9, np.float32)
-    while group < shown.triangles.size:
-        triangle, last = int(shown.triangles[group]), int(shown.starts[group + 1])
-        if texel < shown.starts[group]:
-            texel = int(shown.starts[group])
+    while group < points.triangles.size:
+        triangle, last = int(points.triangles[group]), int(points.starts[group + 1])
+        if texel < points.starts[group]:
+            texel = int(points.starts[group])
         if texel >= last or samples.starts[triangle] == samples.starts[triangle + 1]:
             group += 1
             continue
@@ -197,12 +201,9 @@ def _list(
                 return group, texel, n_blocks, n_cells, n_rows
             end, i, j, k, ni, nj, nk = last, 0, 0, 0, 0, 0, 0
             while True:
-                least, most = _reach(shown, samples, triangle, texel, end, 0, scale, origin[0])
-                i, ni = _cell_of(least, cells) - 1, _cell_of(most, cells) - _cell_of(least, cells) + 3
-                least, most = _reach(shown, samples, triangle, texel, end, 1, scale, origin[1])
-                j, nj = _cell_of(least, cells) - 1, _cell_of(most, cells) - _cell_of(least, cells) + 3
-                least, most = _reach(shown, samples, triangle, texel, end, 2, scale, origin[2])
-                k, nk = _cell_of(least, cells) - 1, _cell_of(most, cells) - _cell_of(least, cells) + 3
+                i, ni = _cells_around(points, samples, triangle, texel, end, 0, scale, origin[0], cells)
+                j, nj = _cells_around(points, samples, triangle, texel, end, 1, scale, origin[1], cells)
+                k, nk = _cells_around(points, samples, triangle, texel, end, 2, scale, origin[2], cells)
                 if ni * nj * nk <= _VOLUME or end == texel + 1:
                     break
                 end = texel + (end - texel + 1 >> 1)
@@ -220,10 +221,10 @@ def _list(
                     for a in range(i >> 2, (i + ni - 1 >> 2) + 1):
                         row = tile_row(tiles, a >> 1, b >> 1, c >> 1)
                         octant = np.uint64(8 * row + (a & 1 | (b & 1) << 1 | (c & 1) << 2))
-                        left, cell = tiles.masks[octant], int(np.int64(tiles.firsts[octant])) - 1
-                        while left != 0:
-                            bit = trailing_zeros(left)
-                            left &= left - one
+                        mask, cell = tiles.masks[octant], int(np.int64(tiles.firsts[octant])) - 1
+                        while mask != 0:
+                            bit = trailing_zeros(mask)
+                            mask &= mask - one
                             cell += 1
                             x = 4 * a - i + (bit & 1 | bit >> 2 & 2)
                             y = 4 * b - j + (bit >> 1 & 1 | bit >> 3 & 2)
@@ -282,9 +283,9 @@ def _decode(
     """Add the values of rows, times weights, to components (planes · cells, 4) from ``lane`` on."""
     for n in range(cells.size):
         for component in range(codes.values.shape[1]):
-            at = lane + component
-            value = _value(codes, int(rows[n]), component)
-            coefficients[np.uint64(planes * cells[n] + (at >> 2)), np.uint64(at & 3)] += weights[n] * value
+            column = lane + component
+            value = weights[n] * _value(codes, int(rows[n]), component)
+            coefficients[np.uint64(planes * cells[n] + (column >> 2)), np.uint64(column & 3)] += value
 
 
 @inlined
@@ -297,8 +298,8 @@ def _weights_of(x: float, cells: float) -> tuple[int, tuple[np.float32, np.float
 
 @kernel
 def _evaluate(
-    depth: int, samples: Patterns, shown: Shown, origin: tuple[float, float, float], size: float,
-    listed: _Listed, n_blocks: int, n_cells: int, coefficients: Float32s, sums: Float32s,
+    depth: int, samples: Patterns, points: TexelPoints, origin: tuple[float, float, float], size: float,
+    listed: _CellLists, n_blocks: int, n_cells: int, coefficients: Float32s, sums: Float32s,
 ) -> None:  # fmt: skip
     """Add the samples of the texels of blocks to ``sums`` (texels, planes, 4), times their shares."""
     cells, scale = float(1 << depth), 1.0 / size
@@ -307,19 +308,20 @@ def _evaluate(
     group = 0
     for block in range(n_blocks):
         begin, end, i, j, k, ni, nj, first, volume = listed.blocks[block]
-        while shown.starts[group + 1] <= begin:
+        while points.starts[group + 1] <= begin:
             group += 1
-        triangle = np.int64(shown.triangles[group])
+        triangle = np.int64(points.triangles[group])
         dense[: planes * volume] = np.float32(0.0)
         for cell in range(first, listed.blocks[block + 1, 7] if block + 1 < n_blocks else n_cells):
             for plane in range(planes):
-                to, of = np.uint64(planes * listed.slots[cell] + plane), np.uint64(planes * cell + plane)
+                target = np.uint64(planes * listed.slots[cell] + plane)
+                source = np.uint64(planes * cell + plane)
                 for lane in range(4):
-                    dense[to, lane] = coefficients[of, lane]
+                    dense[target, lane] = coefficients[source, lane]
         steps = planes, planes * ni, planes * ni * nj
         last = planes * (volume - 1) - 2 * (steps[0] + steps[1] + steps[2])
         for texel in range(begin, end):
-            x, y, z = shown.rest[texel, 0], shown.rest[texel, 1], shown.rest[texel, 2]
+            x, y, z = points.rest[texel, 0], points.rest[texel, 1], points.rest[texel, 2]
             x, y, z = placed(x, y, z, origin, scale)
             for sample in range(samples.starts[triangle], samples.starts[triangle + 1]):
                 u, of_x = _weights_of(x + samples.offsets[sample, 0], cells)
@@ -350,13 +352,9 @@ def _divide(
             count += 1
             continue
         of_all, of_covered = np.float32(1.0) / sums[n, 0, 0], np.float32(1.0) / least
-        at = np.uint64(texels[n])
+        texel = np.uint64(texels[n])
         for lane in range(divisors.size):
             plane, four = np.uint64(first + lane >> 2), np.uint64(first + lane & 3)
             inverse = of_covered if divisors[lane] else of_all
-            values[at, lane] = sums[n, plane, four] * inverse
+            values[texel, lane] = sums[n, plane, four] * inverse
     return count
-
-
-#: Smaller sums of weights have lost their digits.
-_LEAST = 1e-20

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s
-from octex.baking.layout import neighbors_of, numbered
+from octex.baking.layout import neighbours_of, numbered, sums_of
 from octex.baking.unfold import (
     LEAST,
     SIDE,
@@ -23,7 +23,6 @@ from octex.baking.unfold import (
     axes_of,
     connected,
     grow,
-    sums_of,
     unfolded,
     without_overlaps,
 )
@@ -67,86 +66,90 @@ def laid_flat(mesh: Mesh) -> Flattened:
     corners = positions[rows]
     crosses = area_vectors(corners)
     areas, normals = np.linalg.norm(crosses, axis=1), unit(crosses)
-    others, _ = neighbors_of(rows)
+    neighbours, _ = neighbours_of(rows)
     side = max(float(np.sqrt(areas @ areas / max(areas.sum(), 1e-300))), 1e-9)  # of a typical triangle
     facings = normals.copy()
-    _average(normals, areas, others, min(int((_AVERAGED / side) ** 2), _MOST_AVERAGED), facings)
-    pieces = ChartMesh(corners, others, areas, normals, facings)
-    flat, charts = unfolded(pieces, rows, positions, _clustered(pieces))
-    flat, charts = without_overlaps(pieces, flat, charts)
-    charts = connected(others, charts)
-    return Flattened(flat, charts.astype(np.int32), (others < 0) | (charts[others] != charts[:, None]))
+    _average(normals, areas, neighbours, min(int((_AVERAGED / side) ** 2), _MOST_AVERAGED), facings)
+    chart_mesh = ChartMesh(corners, neighbours, areas, normals, facings)
+    flat, charts = unfolded(chart_mesh, rows, positions, _grown(chart_mesh))
+    flat, charts = without_overlaps(chart_mesh, flat, charts)
+    charts = connected(neighbours, charts)
+    edges = (neighbours < 0) | (charts[neighbours] != charts[:, None])
+    return Flattened(flat, charts.astype(np.int32), edges)
 
 
-def _clustered(mesh: ChartMesh) -> Int64s:
+def _grown(mesh: ChartMesh) -> Int64s:
     """Return the chart of each triangle."""
-    _, others, areas, _, facings = mesh
+    _, neighbours, areas, _, facings = mesh
     charts = np.full(len(areas), -1, np.int64)
-    count = grow(others, facings, areas, np.argsort(-areas, kind="stable"), LEAST, 0, charts)
+    count = grow(neighbours, facings, areas, np.argsort(-areas, kind="stable"), LEAST, 0, charts)
     middles = mesh.corners.mean(axis=1)
     for _ in range(_ROUNDS):
         axes = axes_of(mesh, charts)
         weights = np.maximum(np.bincount(charts, areas, count), 1e-300)
         centers = sums_of(charts, middles * areas[:, None]) / weights[:, None]
-        apart = ((middles - centers[charts]) ** 2).sum(axis=1)
-        apart += np.where(areas > 0.0, 1e-3 * (1.0 - (facings * axes[charts]).sum(axis=1)), np.inf)
-        order = np.lexsort((apart, charts))
+        distances = ((middles - centers[charts]) ** 2).sum(axis=1)
+        distances += np.where(areas > 0.0, 1e-3 * (1.0 - (facings * axes[charts]).sum(axis=1)), np.inf)
+        order = np.lexsort((distances, charts))
         seeds = order[np.flatnonzero(np.diff(charts[order], prepend=-1))]  # nearest to each centre
-        _grow_at_once(others, facings, areas, middles, axes, seeds, charts)
+        _grow_at_once(neighbours, facings, areas, middles, axes, seeds, charts)
         is_taken = charts >= 0
         charts[is_taken] = numbered(charts[is_taken])
         first = int(charts.max()) + 1
-        count = grow(others, facings, areas, np.flatnonzero(~is_taken), LEAST, first, charts)
+        count = grow(neighbours, facings, areas, np.flatnonzero(~is_taken), LEAST, first, charts)
     return _merged(mesh, charts)
 
 
 def _merged(mesh: ChartMesh, charts: Int64s) -> Int64s:
     """Merge charts across their longest borders while their triangles face roughly one way."""
-    _, others, areas, _, facings = mesh
+    _, neighbours, areas, _, facings = mesh
     sums, sizes = sums_of(charts, facings * areas[:, None]), np.bincount(charts, areas)
     bins, directions = _binned(facings)
     counts = np.bincount(charts * len(directions) + bins, areas > 0.0, sizes.size * len(directions))
-    shares = counts.reshape(sizes.size, -1) > 0.0  # directions that each chart faces
-    triangles, sides = np.nonzero((others >= 0) & (charts[others] != charts[:, None]))
-    one, two = charts[triangles], charts[others[triangles, sides]]  # both ways
+    faced = counts.reshape(sizes.size, -1) > 0.0  # directions that each chart faces
+    triangles, sides = np.nonzero((neighbours >= 0) & (charts[neighbours] != charts[:, None]))
+    first, second = charts[triangles], charts[neighbours[triangles, sides]]  # both ways
     ends = mesh.corners[triangles, sides], mesh.corners[triangles, (sides + 1) % 3]
     borders = np.linalg.norm(ends[1] - ends[0], axis=1)
-    whole = connected(others, np.zeros_like(charts))
+    pieces = connected(neighbours, np.zeros_like(charts))
     tiny = np.empty(sizes.size)
-    tiny[charts] = np.minimum(TINY, TINY_PART * np.bincount(whole, areas))[whole]
-    made = np.arange(sizes.size)  # of the charts that there were
+    tiny[charts] = np.minimum(TINY, TINY_PART * np.bincount(pieces, areas))[pieces]
+    merged_into = np.arange(sizes.size)  # of the charts that there were
     while True:
-        pairs, rows = np.unique(np.minimum(one, two) * sizes.size + np.maximum(one, two), return_inverse=True)
+        keys = np.minimum(first, second) * sizes.size + np.maximum(first, second)
+        pairs, rows = np.unique(keys, return_inverse=True)
         borders = np.bincount(rows, borders, pairs.size)
-        one, two = pairs // sizes.size, pairs % sizes.size
-        both = sums[one] + sums[two]
-        is_shown = np.linalg.norm(both, axis=1) >= _SHOWN * (sizes[one] + sizes[two])
-        is_small = np.minimum(sizes[one], sizes[two]) < _SMALL
-        fits = (sizes < tiny)[one] | (sizes < tiny)[two]
+        first, second = pairs // sizes.size, pairs % sizes.size
+        joint = sums[first] + sums[second]
+        is_shown = np.linalg.norm(joint, axis=1) >= _SHOWN * (sizes[first] + sizes[second])
+        is_small = np.minimum(sizes[first], sizes[second]) < _SMALL
+        fits = (sizes < tiny)[first] | (sizes < tiny)[second]
         tested = np.flatnonzero((is_shown | is_small) & ~fits)
-        fits[tested] = _widest(unit(both[tested]), shares, one[tested], two[tested], directions) <= _MERGED
+        angles = _largest_angle(unit(joint[tested]), faced, first[tested], second[tested], directions)
+        fits[tested] = angles <= _MERGED
         if not fits.any():
-            return made[charts]
-        ways = np.concatenate([np.stack([one, two], axis=1)[fits], np.stack([two, one], axis=1)[fits]])
-        order = np.lexsort((ways[:, 1], -np.tile(borders[fits], 2), ways[:, 0]))
-        firsts = order[np.flatnonzero(np.diff(ways[order, 0], prepend=-1))]
+            return merged_into[charts]
+        fitting = np.stack([first, second], axis=1)[fits]
+        directed = np.concatenate([fitting, fitting[:, ::-1]])
+        order = np.lexsort((directed[:, 1], -np.tile(borders[fits], 2), directed[:, 0]))
+        firsts = order[np.flatnonzero(np.diff(directed[order, 0], prepend=-1))]
         best = np.full(sizes.size, -1)
-        best[ways[firsts, 0]] = ways[firsts, 1]  # two charts merge if each is the other's best
+        best[directed[firsts, 0]] = directed[firsts, 1]  # two charts merge if each is the other's best
         numbers = np.arange(sizes.size)
         is_mutual = (best >= 0) & (best[best] == numbers) & (numbers > best)
         numbers[is_mutual] = best[is_mutual]
         numbers = numbered(numbers)
-        made = numbers[made]
+        merged_into = numbers[merged_into]
         last = np.flatnonzero(~is_mutual)
-        first, second = best[is_mutual], np.flatnonzero(is_mutual)
+        kept, absorbed = best[is_mutual], np.flatnonzero(is_mutual)
         for each in (sums, sizes):
-            each[first] += each[second]
-        shares[first] |= shares[second]
-        tiny[first] = np.minimum(tiny[first], tiny[second])
-        sums, sizes, shares, tiny = sums[last], sizes[last], shares[last], tiny[last]
-        one, two = numbers[one], numbers[two]
-        is_border = one != two
-        one, two, borders = one[is_border], two[is_border], borders[is_border]
+            each[kept] += each[absorbed]
+        faced[kept] |= faced[absorbed]
+        tiny[kept] = np.minimum(tiny[kept], tiny[absorbed])
+        sums, sizes, faced, tiny = sums[last], sizes[last], faced[last], tiny[last]
+        first, second = numbers[first], numbers[second]
+        is_border = first != second
+        first, second, borders = first[is_border], second[is_border], borders[is_border]
 
 
 def _binned(directions: Float64s) -> tuple[Int64s, Float64s]:
@@ -170,18 +173,18 @@ def _binned(directions: Float64s) -> tuple[Int64s, Float64s]:
     return (faces * _BINS + squares[0]) * _BINS + squares[1], unit(middles.reshape(-1, 3))
 
 
-def _widest(axes: Float64s, shares: Bools, one: Int64s, two: Int64s, directions: Float64s) -> Float64s:
+def _largest_angle(axes: Float64s, shares: Bools, one: Int64s, two: Int64s, directions: Float64s) -> Float64s:
     """Return the largest angle between axes (n, 3) and the directions of two charts each (n,)."""
-    found = np.empty(one.size)
+    angles = np.empty(one.size)
     for first in range(0, one.size, _PAIRS):
         pairs = slice(first, first + _PAIRS)
         dots = np.where(shares[one[pairs]] | shares[two[pairs]], axes[pairs] @ directions.T, 1.0)
-        found[pairs] = np.arccos(np.clip(dots.min(axis=1), -1.0, 1.0))
-    return found
+        angles[pairs] = np.arccos(np.clip(dots.min(axis=1), -1.0, 1.0))
+    return angles
 
 
 @kernel
-def _average(normals: Float64s, areas: Float64s, others: Int32s, rounds: int, averaged: Float64s) -> None:
+def _average(normals: Float64s, areas: Float64s, neighbours: Int32s, rounds: int, averaged: Float64s) -> None:
     """Average normals (m, 3) over neighbours ``rounds`` times, by area, and less across sharp edges."""
     before, sums = normals.copy(), np.empty(3)
     for _ in range(rounds):
@@ -189,14 +192,14 @@ def _average(normals: Float64s, areas: Float64s, others: Int32s, rounds: int, av
             for axis in range(3):
                 sums[axis] = areas[triangle] * before[triangle, axis]
             for side in range(3):
-                other = others[triangle, side]
-                if other < 0:
+                neighbour = neighbours[triangle, side]
+                if neighbour < 0:
                     continue
                 cosine = 0.0
                 for axis in range(3):
-                    cosine += before[triangle, axis] * before[other, axis]
+                    cosine += before[triangle, axis] * before[neighbour, axis]
                 for axis in range(3):
-                    sums[axis] += areas[other] * max(cosine, 0.0) ** _SHARP * before[other, axis]
+                    sums[axis] += areas[neighbour] * max(cosine, 0.0) ** _SHARP * before[neighbour, axis]
             length = np.sqrt(sums[0] ** 2 + sums[1] ** 2 + sums[2] ** 2)
             if length > 0.0:
                 for axis in range(3):
@@ -208,7 +211,7 @@ def _average(normals: Float64s, areas: Float64s, others: Int32s, rounds: int, av
 
 @kernel
 def _grow_at_once(
-    others: Int32s, facings: Float64s, areas: Float64s, middles: Float64s, axes: Float64s, seeds: Int64s,
+    neighbours: Int32s, facings: Float64s, areas: Float64s, middles: Float64s, axes: Float64s, seeds: Int64s,
     charts: Int64s,
 ) -> None:  # fmt: skip
     """Grow charts from one triangle each along shortest paths; triangles off their axes keep −1."""
@@ -223,16 +226,16 @@ def _grow_at_once(
             continue
         charts[triangle] = chart
         for side in range(3):
-            other = others[triangle, side]
-            if other < 0 or charts[other] >= 0:
+            neighbour = neighbours[triangle, side]
+            if neighbour < 0 or charts[neighbour] >= 0:
                 continue
             along = away = 0.0
             for axis in range(3):
-                along += facings[other, axis] * axes[chart, axis]
-                away += (middles[other, axis] - middles[triangle, axis]) ** 2
-            if along < _WIDEST and areas[other] > 0.0:
+                along += facings[neighbour, axis] * axes[chart, axis]
+                away += (middles[neighbour, axis] - middles[triangle, axis]) ** 2
+            if along < _WIDEST and areas[neighbour] > 0.0:
                 continue
             farther = cost + np.sqrt(away) * (1.0 + _BEND * (1.0 - along))
-            if farther < costs[other]:
-                costs[other] = farther
-                heappush(waiting, (farther, np.int64(other), chart))
+            if farther < costs[neighbour]:
+                costs[neighbour] = farther
+                heappush(waiting, (farther, np.int64(neighbour), chart))

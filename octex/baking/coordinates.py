@@ -9,7 +9,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int64s
 from octex.baking.layout import Layout, doubled_areas, unit_area
-from octex.baking.texels import Drawing, Drawn, barycentric_at
+from octex.baking.texels import Drawing, TexelRows, barycentric_at
 from octex.channels import CHANNELS, linear_to_srgb
 from octex.errors import ModelError
 from octex.parallel import ordered_map
@@ -43,13 +43,15 @@ def check_overlaps(
     texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor
 ) -> None:
     """Raise ModelError if differing areas of a mesh share its texture coordinates."""
-    whole = unit_area(layout)
-    shared = 1.0 - 1.0 / whole if whole > _MOST_DRAWN else 0.0
-    if 0.0 < whole <= _MOST_DRAWN:
+    area = unit_area(layout)
+    shared = 1.0 - 1.0 / area if area > _MOST_DRAWN else 0.0
+    if 0.0 < area <= _MOST_DRAWN:
         layout = layout.sized(PROBE)
-        drawn = _drawn(layout, pool)
+        drawing, ends = Drawing.of(layout), [*range(0, layout.height, _ROWS), layout.height]
+        parts = list(ordered_map(pool, lambda rows: drawing.rows(*rows), list(pairwise(ends))))
+        drawn = TexelRows(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
         covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
-        shared = max(whole - covered, 0.0) / whole
+        shared = max(area - covered, 0.0) / area
         if shared > _MOST:
             shared = _differing(texture, mesh, names, layout, drawn)
         if shared <= _MOST:  # texels of some triangles may show far more surface than others
@@ -75,10 +77,10 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
     reach = np.where(steps < 0.0, weights / np.maximum(-steps, 1e-300), np.inf).min(axis=1)
     reach = np.minimum(reach, 0.5 / np.maximum(stretch[rows], 1e-300))
     part = np.random.default_rng(1).random((rows.size, 1))
-    moved = np.clip(weights + part * reach[:, None] * steps, 0.0, 1.0)
+    shifted = np.clip(weights + part * reach[:, None] * steps, 0.0, 1.0)
     others = _in_same_texels(mesh, rows, weights, size)
     width, points = cell_of(texture), (rows, weights)
-    differs = _differ(texture, mesh, names, points, (rows, moved), width=width)
+    differs = _differ(texture, mesh, names, points, (rows, shifted), width=width)
     differs |= _differ(texture, mesh, names, points, (rows[others], weights[others]), width=width)
     spread = float(differs.sum()) / _TRIED
     if spread > _MOST:
@@ -105,7 +107,7 @@ def _in_same_texels(mesh: Mesh, triangles: Int64s, weights: Float64s, size: int)
 
 
 def _differing(
-    texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Drawn,
+    texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: TexelRows,
     shares: Float64s | None = None,
 ) -> float:  # fmt: skip
     """Return the part of a map's triangles whose texels show another, differing area.
@@ -114,22 +116,24 @@ def _differing(
     """
     corners = layout.corners
     areas = np.abs(doubled_areas(corners))
-    chosen, weights = scattered(areas if shares is None else shares, _TRIED, 0)
-    points = np.einsum("nk,nkx->nx", weights, corners[chosen])
+    triangles, weights = scattered(areas if shares is None else shares, _TRIED, 0)
+    points = np.einsum("nk,nkx->nx", weights, corners[triangles])
     columns, rows = np.clip(points.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
-    shown = drawn.triangles[rows, columns]
-    other = (shown >= 0) & (layout.charts[shown] != layout.charts[chosen])
-    chosen, shown, weights = chosen[other], shown[other], weights[other]
-    theirs = barycentric_at(corners, shown, points[other])
+    covering = drawn.triangles[rows, columns]
+    is_overlap = (covering >= 0) & (layout.charts[covering] != layout.charts[triangles])
+    triangles, covering, weights = triangles[is_overlap], covering[is_overlap], weights[is_overlap]
+    points = points[is_overlap]
+    covering_weights = barycentric_at(corners, covering, points)
     if shares is not None:
-        nearest = np.einsum("nk,nkx->nx", theirs, corners[shown])
-        inside = (np.abs(nearest - points[other]) < _INSIDE).all(axis=1)
-        if inside.sum() <= _MOST * _TRIED:
+        nearest = np.einsum("nk,nkx->nx", covering_weights, corners[covering])
+        is_inside = (np.abs(nearest - points) < _INSIDE).all(axis=1)
+        if is_inside.sum() <= _MOST * _TRIED:
             return 0.0
-        chosen, shown, weights, theirs = chosen[inside], shown[inside], weights[inside], theirs[inside]
+        triangles, covering, weights = triangles[is_inside], covering[is_inside], weights[is_inside]
+        covering_weights = covering_weights[is_inside]
     width = np.sqrt(areas_of(mesh).sum() / max(float(areas.sum()) / 2, 1e-300))
-    one, two = (layout.faces[chosen], weights), (layout.faces[shown], theirs)
-    return float(_differ(texture, mesh, names, one, two, width=width).sum()) / _TRIED
+    first, second = (layout.faces[triangles], weights), (layout.faces[covering], covering_weights)
+    return float(_differ(texture, mesh, names, first, second, width=width).sum()) / _TRIED
 
 
 def squeezed(texture: OctreeTexture, mesh: Mesh, size: int) -> Bools:
@@ -138,8 +142,8 @@ def squeezed(texture: OctreeTexture, mesh: Mesh, size: int) -> Bools:
     areas = areas_of(mesh)
     even = size / np.sqrt(max(float(areas.sum()), 1e-300))
     is_long = stretch < min(1.0 / (_LONG * cell_of(texture)), even / _UNEVEN)
-    found: Bools = is_long & (areas > 0.0)
-    return found if areas[found].sum() > _MOST * areas.sum() else np.zeros_like(found)
+    is_squeezed: Bools = is_long & (areas > 0.0)
+    return is_squeezed if areas[is_squeezed].sum() > _MOST * areas.sum() else np.zeros_like(is_squeezed)
 
 
 def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
@@ -155,13 +159,13 @@ def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
     along, across = 1.0 / length, length / heights
     slant = -(first * second).sum(axis=1) / (length * heights)
     corners = size * mesh.uv.values[mesh.uv.rows].astype(np.float64)
-    one, two = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    (x, y), (z, w) = one * along, one * slant + two * across
+    flat_first, flat_second = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
+    (x, y), (z, w) = flat_first * along, flat_first * slant + flat_second * across
     # The least singular value and its vector: of a symmetric matrix' least eigenvalue.
     a, b, c = x * x + y * y, x * z + y * w, z * z + w * w
-    most = (a + c) / 2 + np.hypot((a - c) / 2, b)
-    least = np.abs(x * w - y * z) / np.sqrt(np.maximum(most, 1e-300))
-    right, up = np.where(a > c, -b, most - a), np.where(a > c, most - c, -b)
+    largest = (a + c) / 2 + np.hypot((a - c) / 2, b)
+    least = np.abs(x * w - y * z) / np.sqrt(np.maximum(largest, 1e-300))
+    right, up = np.where(a > c, -b, largest - a), np.where(a > c, largest - c, -b)
     norm = np.hypot(right, up)
     right, up = np.where(norm > 0.0, [right, up], [np.ones_like(norm), up])  # equal in all directions
     norm = np.where(norm > 0.0, norm, 1.0)
@@ -193,24 +197,24 @@ def fineness(
     rows = mesh.triangles[triangles]
     points, normals = at_corners(mesh.rest, rows, weights), area_vectors(mesh.rest[rows])
 
-    def look(points: Float64s, width: float = 0.0) -> dict[str, Float32s]:
+    def sampled(points: Float64s, width: float = 0.0) -> dict[str, Float32s]:
         return texture.sample(points, names, normals=normals, width=width, threads=1)
 
-    wanted, width = _stored(look(points)), _AVERAGED * leaf
-    varies = (np.abs(wanted - _stored(look(points, width))) > _VARIES).any(axis=1)
+    expected, width = _stored(sampled(points)), _AVERAGED * leaf
+    varies = (np.abs(expected - _stored(sampled(points, width))) > _VARIES).any(axis=1)
     varies &= texture.contains(points, threads=1)
     if varies.mean() <= _MOST:
         return 1
-    wanted, points, normals = wanted[varies], points[varies], normals[varies]
+    expected, points, normals = expected[varies], points[varies], normals[varies]
     right, down = (each[triangles[varies]] for each in steps)
     x, y = np.random.default_rng(1).random((2, len(points), 1))
     for finer in _FINER[:-1]:
         read: dict[str, Float32s] = {}
         for i, j in np.ndindex(2, 2):
-            share = np.float32((x if i else 1.0 - x) * (y if j else 1.0 - y))
-            for name, values in look(points + ((i - x) * right + (j - y) * down) / finer).items():
-                read[name] = read.get(name, np.float32(0.0)) + share * values
-        missed = np.sort(((_stored(read) - wanted) ** 2).max(axis=1))[: -int(_MOST * _COMPARED)]
+            weight = np.float32((x if i else 1.0 - x) * (y if j else 1.0 - y))
+            for name, values in sampled(points + ((i - x) * right + (j - y) * down) / finer).items():
+                read[name] = read.get(name, np.float32(0.0)) + weight * values
+        missed = np.sort(((_stored(read) - expected) ** 2).max(axis=1))[: -int(_MOST * _COMPARED)]
         if missed.mean() <= _READ**2:
             return finer
     return _FINER[-1]
@@ -218,21 +222,14 @@ def fineness(
 
 def _stored(values: dict[str, Float32s]) -> Float64s:
     """Return channels side by side (n, components) as stored, 0 to 1, without directions."""
-    known = [each for each in values.items() if CHANNELS[each[0]].space != "direction"]
-    if not known:
+    shown = [item for item in values.items() if CHANNELS[item[0]].space != "direction"]
+    if not shown:
         return np.zeros((len(next(iter(values.values()))), 1))
     columns = [
-        linear_to_srgb(np.clip(each, 0, 1)) if CHANNELS[name].space == "srgb" else each
-        for name, each in known
+        linear_to_srgb(np.clip(item, 0, 1)) if CHANNELS[name].space == "srgb" else item
+        for name, item in shown
     ]
     return np.concatenate(columns, axis=1, dtype=np.float64)
-
-
-def _drawn(layout: Layout, pool: Executor) -> Drawn:
-    """Draw a layout in parallel; ``triangles`` are those of the layout."""
-    drawing, ends = Drawing.of(layout), [*range(0, layout.height, _ROWS), layout.height]
-    parts = list(ordered_map(pool, lambda rows: drawing.rows(*rows), list(pairwise(ends))))
-    return Drawn(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
 def areas_of(mesh: Mesh) -> Float64s:

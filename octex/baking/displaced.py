@@ -8,6 +8,7 @@ import numpy as np
 
 from octex.arrays import Float64s, Int32s, Int64s
 from octex.baking.coordinates import cell_of
+from octex.baking.layout import sums_of
 from octex.baking.tessellation import Tessellation, edges_of, tessellated
 from octex.channels import LUMINANCE, ChannelFormat
 from octex.checks import as_choice, as_number, as_positive, as_whole
@@ -18,7 +19,7 @@ from octex.source.mesh import FARTHEST
 from octex.source.subdivided import OnCage
 from octex.source.surface import Surface, as_surface
 from octex.source.tangents import carried
-from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, row_of
+from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, plus, row_of
 from octex.source.welding import welded
 from octex.texture import OctreeTexture, as_texture
 from octex.view.shading import corner_normals
@@ -58,8 +59,8 @@ def displace(
     change. New normals, ``posed_frames()``, follow from the field's gradient. Heights are smoothed over about
     two cells: relief finer than 8 cells loses a tenth of its slope.
 
-    Raises ArgumentError for a channel that is missing or holds directions, for numbers out of range, for more
-    than ``most_triangles``, and if the displacement is not finite.
+    Raises ArgumentError for a channel that is missing or holds directions, and for numbers out of range. Also
+    for more than ``most_triangles``, and for a displacement that is not finite.
     """
     as_surface(surface)
     as_texture(texture)
@@ -71,61 +72,60 @@ def displace(
     middle = as_number(middle, "middle", -FARTHEST, FARTHEST)
     finest = cell_of(texture)
     cell = finest if cell is None else as_positive(cell, "cell")
-    most = as_whole(most_triangles, "most_triangles", 1, 2**31 - 1)
+    limit = as_whole(most_triangles, "most_triangles", 1, 2**31 - 1)
     resting = surface.placed_in(texture).rest
     vertex_of = welded(np.concatenate([surface.vertices, surface.rest, resting], axis=1)).astype(np.int64)
     triangles = vertex_of[surface.triangles]
-    parts = _parts(triangles, resting, surface, cell, most)
+    mesh = _divided(triangles, resting, surface, cell, limit)
     corners, rest_corners = surface.vertices[surface.triangles], resting[surface.triangles]
     normals = _normals(surface, triangles)
-    undisplaced = parts.spread(rest_corners)
-    posed = undisplaced if resting is surface.vertices else parts.spread(corners)
-    rest = undisplaced if resting is surface.rest else parts.spread(surface.rest[surface.triangles])
-    directions = parts.spread(normals)
+    undisplaced = mesh.spread(rest_corners)
+    posed = undisplaced if resting is surface.vertices else mesh.spread(corners)
+    rest = undisplaced if resting is surface.rest else mesh.spread(surface.rest[surface.triangles])
+    directions = mesh.spread(normals)
     lengths = np.linalg.norm(directions, axis=1)
     directions = unit(directions)
-    facing = parts.spread(corner_normals(resting, surface.triangles, 180.0).astype(np.float64))
+    facing = mesh.spread(corner_normals(resting, surface.triangles, 180.0).astype(np.float64))
     heights, slopes = _heights(texture, form, undisplaced, facing, scale, middle)
-    _even(parts.triangles, undisplaced, heights, slopes)
+    _smooth(mesh.triangles, undisplaced, heights, slopes)
     with np.errstate(over="ignore", invalid="ignore"):
-        moved = posed + heights[:, None] * directions
-    if not (np.abs(moved) <= FARTHEST).all():
-        first = undisplaced[int(np.argmin((np.abs(moved) <= FARTHEST).all(axis=1)))]
+        vertices = posed + heights[:, None] * directions
+    is_finite = (np.abs(vertices) <= FARTHEST).all(axis=1)
+    if not is_finite.all():
+        first = undisplaced[int(np.argmin(is_finite))]
         raise ArgumentError(
             f"{surface.name}: {channel} displaces a vertex to a position that is not finite, "
-            f"at {first.tolist()} at rest; "
-            "repair the texture, or give another scale"
+            f"at {first.tolist()} at rest; repair the texture, or give another scale"
         )
-    bent = np.zeros_like(moved)
-    _bend(
-        parts.owners, parts.points, corners, rest_corners, normals, directions, lengths, heights, slopes,
-        bent,
+    bent = np.zeros_like(vertices)
+    _add_normals(
+        mesh.owners, mesh.points, corners, rest_corners, normals, directions, lengths, heights, slopes, bent,
     )  # fmt: skip
     bent = np.where(bent.any(axis=1, keepdims=True), unit(bent), directions)
-    frames = carried(frames_of(bent, parts.triangles), parts.triangles, moved, rest)
+    frames = carried(frames_of(bent, mesh.triangles), mesh.triangles, vertices, rest)
     uv = None
     if surface.uv is not None:
-        old = surface.uv.values[surface.uv.rows[parts.parents]]
-        values = np.einsum("mkc,mcx->mkx", parts.shares, old).reshape(-1, 2).astype(np.float32)
+        parent_uv = surface.uv.values[surface.uv.rows[mesh.parents]]
+        values = np.einsum("mkc,mcx->mkx", mesh.shares, parent_uv).reshape(-1, 2).astype(np.float32)
         uv = Corners(values, np.arange(len(values), dtype=np.int32).reshape(-1, 3))
-    source = OnCage(surface.source, parts.parents, parts.shares, rest, rest, parts.triangles)
-    said = json.dumps({"channel": channel, "scale": scale, "middle": middle})
+    source = OnCage(surface.source, mesh.parents, mesh.shares, rest, rest, mesh.triangles)
+    settings = json.dumps({"channel": channel, "scale": scale, "middle": middle})
     return Surface(
-        moved, parts.triangles, source, rest=rest, uv=uv, frames=frames, name=surface.name,
-        provenance={**surface.provenance, "displaced": said},
+        vertices, mesh.triangles, source, rest=rest, uv=uv, frames=frames, name=surface.name,
+        provenance={**surface.provenance, "displaced": settings},
     )  # fmt: skip
 
 
-def _parts(triangles: Int64s, rest: Float64s, surface: Surface, cell: float, most: int) -> Tessellation:
+def _divided(triangles: Int64s, rest: Float64s, surface: Surface, cell: float, limit: int) -> Tessellation:
     """Divide triangles (m, 3) until no edge is longer than a cell."""
-    at = np.empty((int(triangles.max()) + 1, 3))
-    at[triangles] = rest[surface.triangles]
+    positions = np.empty((int(triangles.max()) + 1, 3))
+    positions[triangles] = rest[surface.triangles]
     edges, sides = edges_of(triangles)
-    lengths = np.linalg.norm(at[edges[:, 0]] - at[edges[:, 1]], axis=1)
+    lengths = np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)
     with np.errstate(over="ignore"):
         levels = np.ceil(np.log2(np.clip(lengths / cell * (1 - 1e-9), 1.0, FARTHEST))).astype(np.int64)
     finest = levels[sides].max(axis=1)
-    if finest.max() > _MOST_LEVELS or (count := int((4**finest).sum())) > most:
+    if finest.max() > _MOST_LEVELS or (count := int((4**finest).sum())) > limit:
         number = f"{count:,}" if finest.max() <= _MOST_LEVELS else f"4^{finest.max()} for a triangle"
         raise ArgumentError(
             f"{surface.name} divided to cells of {cell:g} would need too many triangles, {number}; "
@@ -140,8 +140,7 @@ def _normals(surface: Surface, triangles: Int64s) -> Float64s:
     if frames is None:
         return corner_normals(surface.vertices, surface.triangles, 180.0).astype(np.float64)
     normals = frames.normals.values[frames.normals.rows].reshape(-1, 3)
-    sums = np.stack([np.bincount(triangles.ravel(), column) for column in normals.T], axis=1)
-    return unit(sums.astype(np.float64))[triangles]
+    return unit(sums_of(triangles.ravel(), normals))[triangles]
 
 
 def _heights(
@@ -155,14 +154,14 @@ def _heights(
         return heights, scale * np.einsum("ncx,c->nx", gradients.astype(np.float64), weights)
 
 
-def _even(triangles: Int32s, positions: Float64s, heights: Float64s, slopes: Float64s) -> None:
+def _smooth(triangles: Int32s, positions: Float64s, heights: Float64s, slopes: Float64s) -> None:
     """Smooth heights (n,) and slopes (n, 3) of vertices at ``positions`` (n, 3), in place."""
     cotangents, sums = np.empty((len(triangles), 3)), np.empty((len(heights), 5))
     _cotangents(triangles, positions, cotangents)
     for _ in range(_ROUNDS):
-        _even_out(triangles, cotangents, positions, heights, slopes, sums, _PART, _PART)
-    # Restores what smoothing took from long waves, to first order.
-    _even_out(triangles, cotangents, positions, heights, slopes, sums, -_ROUNDS * _PART, 0.0)
+        _smooth_once(triangles, cotangents, positions, heights, slopes, sums, _PART, _PART)
+    # Restores the height of long waves, to first order.
+    _smooth_once(triangles, cotangents, positions, heights, slopes, sums, -_ROUNDS * _PART, 0.0)
 
 
 @kernel
@@ -171,18 +170,18 @@ def _cotangents(triangles: Int32s, positions: Float64s, cotangents: Float64s) ->
     for t in range(len(triangles)):
         for side in range(3):
             a, b, c = triangles[t, side], triangles[t, (side + 1) % 3], triangles[t, (side + 2) % 3]
-            dot = one = other = 0.0
+            dot = first_square = second_square = 0.0
             for axis in range(3):
                 u, v = positions[a, axis] - positions[c, axis], positions[b, axis] - positions[c, axis]
                 dot += u * v
-                one += u * u
-                other += v * v
-            across = np.sqrt(max(one * other - dot * dot, 0.0))
+                first_square += u * u
+                second_square += v * v
+            across = np.sqrt(max(first_square * second_square - dot * dot, 0.0))
             cotangents[t, side] = min(max(dot / across, _LEAST), _LARGEST) if across > 0.0 else 0.0
 
 
 @kernel
-def _even_out(
+def _smooth_once(
     triangles: Int32s, cotangents: Float64s, positions: Float64s, heights: Float64s, slopes: Float64s,
     sums: Float64s, part: float, lift: float,
 ) -> None:  # fmt: skip
@@ -213,7 +212,7 @@ def _even_out(
 
 
 @kernel
-def _bend(
+def _add_normals(
     owners: Int64s, points: Int64s, corners: Float64s, rest: Float64s, normals: Float64s,
     directions: Float64s, lengths: Float64s, heights: Float64s, slopes: Float64s, bent: Float64s,
 ) -> None:  # fmt: skip
@@ -222,8 +221,8 @@ def _bend(
         t, v = owners[p], points[p]
         normal = row_of(directions, v)
         turn = heights[v] / max(lengths[v], 1e-30)
-        a = _moved(row_of(slopes, v), rest[t], corners[t], normals[t], 1, turn, normal)
-        b = _moved(row_of(slopes, v), rest[t], corners[t], normals[t], 2, turn, normal)
+        a = _displaced_side(row_of(slopes, v), rest[t], corners[t], normals[t], 1, turn, normal)
+        b = _displaced_side(row_of(slopes, v), rest[t], corners[t], normals[t], 2, turn, normal)
         x, y, z = cross_product(a, b)
         size = length_of((x, y, z))
         if size > 0.0:
@@ -233,13 +232,11 @@ def _bend(
 
 
 @inlined
-def _moved(
+def _displaced_side(
     slope: Vector, rest: Float64s, corners: Float64s, normals: Float64s, k: int, turn: float, normal: Vector
 ) -> Vector:
     """Return a displaced side of a parent (3, 3), from corner 0 to k, at a vertex."""
-    first = row_of(normals, 0)
-    side = minus(row_of(corners, k), row_of(corners, 0))
-    change = minus(row_of(normals, k), first)
-    side = side[0] + turn * change[0], side[1] + turn * change[1], side[2] + turn * change[2]
+    bend = minus(row_of(normals, k), row_of(normals, 0))
+    side = plus(minus(row_of(corners, k), row_of(corners, 0)), bend, turn)
     rise = dot_product(slope, minus(row_of(rest, k), row_of(rest, 0))) - dot_product(side, normal)
-    return side[0] + rise * normal[0], side[1] + rise * normal[1], side[2] + rise * normal[2]
+    return plus(side, normal, rise)

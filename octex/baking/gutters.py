@@ -9,7 +9,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.layout import Layout
 from octex.jit import inlined, kernel
-from octex.source.vectors import Vector, dot_product, length_of, minus, row_of, times
+from octex.source.vectors import Vector, dot_product, length_of, minus, plus, row_of, times
 
 #: Most triangles that a path over the surface crosses.
 _MOST_CROSSED = 64
@@ -27,13 +27,13 @@ class Borders(NamedTuple):
     @classmethod
     def of(cls, layout: Layout, taken: Bools, padding: int) -> Borders:
         """Find the texels within ``padding`` texels of charts that are not ``taken`` (height, width)."""
-        nearest = np.full(taken.shape, np.inf, np.float32)
-        border = np.full(taken.shape, -1, np.int32)
+        squares = np.full(taken.shape, np.inf, np.float32)
+        nearest_border = np.full(taken.shape, -1, np.int32)
         drawn, sides = np.nonzero(layout.edges)
-        find_nearest(layout.corners, drawn, sides, taken, float(padding), nearest, border)
-        texels = np.flatnonzero(border >= 0)
-        chosen = border.reshape(-1)[texels]
-        return cls(texels.astype(np.int32), drawn[chosen], sides[chosen])
+        find_nearest(layout.corners, drawn, sides, taken, float(padding), squares, nearest_border)
+        texels = np.flatnonzero(nearest_border >= 0)
+        borders = nearest_border.reshape(-1)[texels]
+        return cls(texels.astype(np.int32), drawn[borders], sides[borders])
 
     def parts(self, count: int) -> list[Borders]:
         """Return the texels in runs of ``count``."""
@@ -52,17 +52,17 @@ class Gutter(NamedTuple):
 
 
 def gutter_of(
-    borders: Borders, layout: Layout, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s
+    borders: Borders, layout: Layout, rest: Float64s, faces: Int32s, neighbours: Int32s, sides: Int32s
 ) -> Gutter:
     """Find the points that gutter texels show: on the surface across the edge, unfolded, or at its end."""
     count = borders.texels.size
-    found = np.empty(count, np.int32)
+    triangles = np.empty(count, np.int32)
     barycentric, edges = np.zeros((2, count, 3))
-    drawn = layout.corners, layout.faces, layout.width
-    _follow(*drawn, rest, faces, others, sides, borders, edges, found, barycentric)
-    order = np.sort(found.astype(np.int64) << 32 | np.arange(count)) & 0xFFFFFFFF
+    map_triangles = layout.corners, layout.faces, layout.width
+    _walk(*map_triangles, rest, faces, neighbours, sides, borders, edges, triangles, barycentric)
+    order = np.sort(triangles.astype(np.int64) << 32 | np.arange(count)) & 0xFFFFFFFF
     beside = layout.faces[borders.drawn[order]]
-    return Gutter(borders.texels[order], found[order], barycentric[order], beside, edges[order])
+    return Gutter(borders.texels[order], triangles[order], barycentric[order], beside, edges[order])
 
 
 @inlined
@@ -121,12 +121,12 @@ def _edge_frame(
 
 
 @kernel
-def _follow(
-    corners: Float64s, owners: Int32s, width: int, rest: Float64s, faces: Int32s, others: Int32s,
-    sides: Int32s, borders: Borders, edges: Float64s, found: Int32s, barycentric: Float64s,
+def _walk(
+    corners: Float64s, owners: Int32s, width: int, rest: Float64s, faces: Int32s, neighbours: Int32s,
+    sides: Int32s, borders: Borders, edges: Float64s, triangles: Int32s, barycentric: Float64s,
 ) -> None:  # fmt: skip
     """Walk straight over the surface from chart edges to texels' centres (n,)."""
-    for n in range(found.size):
+    for n in range(triangles.size):
         drawn, side = borders.drawn[n], int(borders.sides[n])
         triangle = int(owners[drawn])
         a, b, c = corners[drawn, side], corners[drawn, (side + 1) % 3], corners[drawn, (side + 2) % 3]
@@ -134,62 +134,57 @@ def _follow(
         t, dx, dy = _nearest_on(a[0], a[1], b[0], b[1], column + 0.5, row + 0.5)
         edges[n, side], edges[n, (side + 1) % 3] = 1.0 - t, t
         barycentric[n] = edges[n]
-        found[n] = triangle
+        triangles[n] = triangle
         along, inward, length, tip_along, tip_away = _edge_frame(rest, faces, triangle, side)
-        other = int(others[triangle, side])
+        neighbour = int(neighbours[triangle, side])
         doubled = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if other < 0 or length == 0.0 or doubled == 0.0:
+        if neighbour < 0 or length == 0.0 or doubled == 0.0:
             continue
         # The vector in the map, as parts of the sides a → b and a → c, then along and away from the edge.
         s = (dx * (c[1] - a[1]) - dy * (c[0] - a[0])) / doubled
         u = ((b[0] - a[0]) * dy - (b[1] - a[1]) * dx) / doubled
         forward, away = s * length + u * tip_along, max(-u * tip_away, 0.0)
-        place = t * length
+        along_edge = t * length
         for _ in range(_MOST_CROSSED):
             # Across the edge, whose direction is reversed there.
-            triangle, side = other, int(sides[triangle, side])
+            triangle, side = neighbour, int(sides[triangle, side])
             along, inward, length, tip_along, tip_away = _edge_frame(rest, faces, triangle, side)
             if length == 0.0:
                 break
-            place, forward = min(max(length - place, 0.0), length), -forward
+            along_edge, forward = min(max(length - along_edge, 0.0), length), -forward
             # Barycentric coordinates of the end: of the tip, of the side's end, of its start.
             r = away / tip_away
-            q = (place + forward - r * tip_along) / length
+            q = (along_edge + forward - r * tip_along) / length
             p = 1.0 - q - r
             if p >= -1e-9 and q >= -1e-9:
-                found[n] = triangle
+                triangles[n] = triangle
                 barycentric[n, side] = max(p, 0.0)
                 barycentric[n, (side + 1) % 3] = max(q, 0.0)
                 barycentric[n, (side + 2) % 3] = r
                 break
             # The path leaves by the side whose coordinate, p or q, reaches 0 first.
-            p0, q0 = 1.0 - place / length, place / length
+            p0, q0 = 1.0 - along_edge / length, along_edge / length
             part_p = p0 / (p0 - p) if p < 0.0 else 2.0
             part_q = q0 / (q0 - q) if q < 0.0 else 2.0
             by_end = part_p < part_q  # through the side from end to tip
             part = min(part_p, part_q)
-            found[n] = triangle
+            triangles[n] = triangle
             r0 = r * part
             other_part = q0 + (q - q0) * part if by_end else p0 + (p - p0) * part
             barycentric[n, side] = 0.0 if by_end else other_part
             barycentric[n, (side + 1) % 3] = other_part if by_end else 0.0
             barycentric[n, (side + 2) % 3] = r0
             out = (side + 1) % 3 if by_end else (side + 2) % 3
-            other = int(others[triangle, out])
-            if other < 0:
+            neighbour = int(neighbours[triangle, out])
+            if neighbour < 0:
                 break
             # The rest of the path, in the frame of the side that it crosses.
-            rest_along, rest_away = forward * (1.0 - part), away * (1.0 - part)
-            way = (
-                rest_along * along[0] + rest_away * inward[0],
-                rest_along * along[1] + rest_away * inward[1],
-                rest_along * along[2] + rest_away * inward[2],
-            )
+            path = plus(times(along, forward * (1.0 - part)), inward, away * (1.0 - part))
             new_along, new_inward, new_length, _, _ = _edge_frame(rest, faces, triangle, out)
             if new_length == 0.0:
                 break
-            forward, away = dot_product(way, new_along), max(-dot_product(way, new_inward), 0.0)
-            place = (r0 if by_end else other_part) * new_length
+            forward, away = dot_product(path, new_along), max(-dot_product(path, new_inward), 0.0)
+            along_edge = (r0 if by_end else other_part) * new_length
             side = out
 
 

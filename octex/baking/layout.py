@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int32s, Int64s
+from octex.arrays import Array, Bools, Float64s, Int32s, Int64s, Integers, in_runs
 from octex.errors import ModelError
 from octex.source.corners import Corners
 from octex.source.mesh import Mesh
@@ -41,14 +41,10 @@ class Layout(NamedTuple):
     height: int
     padding: int = PADDING  # texels around charts
 
-    def of(self, chosen: Bools) -> Layout:
+    def of(self, chosen: Bools | Int32s) -> Layout:
         """Return the layout of the chosen drawn triangles."""
-        return self._replace(
-            corners=self.corners[chosen],
-            faces=self.faces[chosen],
-            charts=self.charts[chosen],
-            edges=self.edges[chosen],
-        )
+        columns = ("corners", "faces", "charts", "edges")
+        return self._replace(**{name: getattr(self, name)[chosen] for name in columns})
 
     def sized(self, size: int) -> Layout:
         """Return the same layout for square maps of another size."""
@@ -68,40 +64,48 @@ def kept_layout(mesh: Mesh, size: int, padding: int = PADDING) -> Layout:
     uv = mesh.uv.values[mesh.uv.rows].astype(np.float64)
     if not np.isfinite(uv).all():
         raise ModelError(f"{mesh.name}: texture coordinates are not all finite; let octex make an atlas")
-    whole = np.abs(uv - np.rint(uv)) < BEYOND
-    uv = np.where(whole, np.rint(uv), uv)
-    low, high = np.floor(uv.min(axis=1)), np.maximum(np.ceil(uv.max(axis=1)), np.floor(uv.min(axis=1)) + 1)
-    repeats = (high - low).astype(np.int64)
-    if (repeats.prod(axis=1) > _MOST_REPEATS).any():
+    is_whole = np.abs(uv - np.rint(uv)) < BEYOND
+    uv = np.where(is_whole, np.rint(uv), uv)
+    low = np.floor(uv.min(axis=1))
+    repeats = (np.maximum(np.ceil(uv.max(axis=1)), low + 1) - low).astype(np.int64)
+    counts = repeats.prod(axis=1)
+    if (counts > _MOST_REPEATS).any():
         raise ModelError(
             f"{mesh.name}: texture coordinates of a triangle reach over "
-            f"{int(repeats.prod(axis=1).max()):,} squares; let octex make an atlas"
+            f"{int(counts.max()):,} squares; let octex make an atlas"
         )
-    faces: Int32s = np.repeat(np.arange(len(uv), dtype=np.int32), repeats.prod(axis=1))
-    starts = np.cumsum(repeats.prod(axis=1)) - repeats.prod(axis=1)
-    number = np.arange(faces.size) - starts[faces]
+    faces: Int32s = np.repeat(np.arange(len(uv), dtype=np.int32), counts)
+    number = in_runs(np.zeros_like(counts), counts)
     across, down = number % repeats[faces, 0], number // repeats[faces, 0]
-    moved = low[faces] + np.stack([across, down], axis=1)
+    square = low[faces] + np.stack([across, down], axis=1)
     charts, edges = charts_of(mesh, uv * size)
-    row, column = (moved - moved.min(axis=0)).astype(np.int64).T
+    row, column = (square - square.min(axis=0)).astype(np.int64).T
     squares = (charts[faces].astype(np.int64) * (row.max() + 1) + row) * (column.max() + 1) + column
     _, numbers = np.unique(squares, return_inverse=True)
-    corners = (uv[faces] - moved[:, None]) * size
+    corners = (uv[faces] - square[:, None]) * size
     return Layout(mesh.uv, corners, faces, numbers.astype(np.int32), edges[faces], size, size, padding)
 
 
 def charts_of(mesh: Mesh, corners: Float64s) -> tuple[Int32s, Bools]:
-    """Return charts (m,), connected on the surface and in the map, and the sides (m, 3) that are edges."""
-    others, sides = neighbors(mesh)
-    are_joined = _joined(corners, others, sides)
-    return pieces_of(others, are_joined).astype(np.int32), ~are_joined
+    """Return charts (m,), connected on the surface and in the map, and the sides (m, 3) that are edges.
+
+    ``corners`` (m, 3, 2) are in texels. A chart ends where the map folds, as between mirrored halves.
+    """
+    neighbours, sides = neighbours_of_mesh(mesh)
+    beyond = np.maximum(neighbours, 0), np.maximum(sides, 0)
+    starts = corners[beyond[0], (beyond[1] + 1) % 3]  # the neighbour's side runs the other way
+    are_joined = np.abs(starts - corners).max(axis=-1) < _SAME
+    are_joined &= np.abs(corners[beyond] - np.roll(corners, -1, axis=1)).max(axis=-1) < _SAME
+    areas = doubled_areas(corners)
+    are_joined &= (neighbours >= 0) & (areas[:, None] * areas[beyond[0]] >= 0.0)
+    return pieces_of(neighbours, are_joined).astype(np.int32), ~are_joined
 
 
-def pieces_of(others: Int32s, are_joined: Bools) -> Int64s:
+def pieces_of(neighbours: Int32s, are_joined: Bools) -> Int64s:
     """Return the connected piece of each triangle (m,), from 0, of triangles joined across sides (m, 3)."""
-    parents = np.arange(len(others))
+    parents = np.arange(len(neighbours))
     triangles, sides = np.nonzero(are_joined)
-    join(parents, triangles, others[triangles, sides].astype(np.int64))
+    join(parents, triangles, neighbours[triangles, sides].astype(np.int64))
     return numbered(parents)
 
 
@@ -111,30 +115,21 @@ def numbered(groups: Int64s) -> Int64s:
     return numbers
 
 
-def neighbors(mesh: Mesh) -> tuple[Int32s, Int32s]:
+def sums_of(groups: Integers, values: Array) -> Float64s:
+    """Return the sums (n, k) of the values (m, k) in each group (m,), from 0."""
+    return np.stack([np.bincount(groups, column) for column in values.T], axis=1).astype(np.float64)
+
+
+def neighbours_of_mesh(mesh: Mesh) -> tuple[Int32s, Int32s]:
     """Return the triangle across each side (m, 3), −1 for none or several, and the side's number there."""
-    return neighbors_of(first_equal(mesh.rest)[mesh.triangles])
+    return neighbours_of(first_equal(mesh.rest)[mesh.triangles])
 
 
-def neighbors_of(faces: Int64s) -> tuple[Int32s, Int32s]:
-    """Like `neighbors`, of triangles (m, 3) in which each position is one vertex."""
-    found = sides_across(faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1))
-    others = np.where(found < 0, -1, found // 3).astype(np.int32).reshape(-1, 3)
-    return others, np.where(found < 0, -1, found % 3).astype(np.int32).reshape(-1, 3)
-
-
-def _joined(corners: Float64s, others: Int32s, sides: Int32s) -> Bools:
-    """Return the sides (m, 3) across which the map continues like the surface; ``corners`` in texels.
-
-    It does not where it folds, as between the halves of mirrored coordinates.
-    """
-    there = np.maximum(others, 0), np.maximum(sides, 0)
-    starts = corners[there[0], (there[1] + 1) % 3]  # the neighbour's side runs the other way
-    same = np.abs(starts - corners).max(axis=-1) < _SAME
-    same &= np.abs(corners[there] - np.roll(corners, -1, axis=1)).max(axis=-1) < _SAME
-    areas = doubled_areas(corners)
-    found: Bools = same & (others >= 0) & (areas[:, None] * areas[there[0]] >= 0.0)
-    return found
+def neighbours_of(faces: Int64s) -> tuple[Int32s, Int32s]:
+    """Like `neighbours_of_mesh`, of triangles (m, 3) in which each position is one vertex."""
+    across = sides_across(faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1))
+    neighbours = np.where(across < 0, -1, across // 3).astype(np.int32).reshape(-1, 3)
+    return neighbours, np.where(across < 0, -1, across % 3).astype(np.int32).reshape(-1, 3)
 
 
 def doubled_areas(corners: Float64s) -> Float64s:

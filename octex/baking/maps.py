@@ -50,10 +50,9 @@ class Values(NamedTuple):
     def of(cls, names: list[str], height: int, width: int) -> Values:
         """Allocate zeros."""
         ends = np.cumsum([0, *(CHANNELS[name].components for name in names)]).tolist()
-        lanes = {name: slice(*each) for name, each in zip(names, pairwise(ends), strict=True)}
-        return cls(
-            lanes, np.zeros((height, width, ends[-1]), np.float32), np.zeros((height, width), np.float32)
-        )
+        lanes = {name: slice(*span) for name, span in zip(names, pairwise(ends), strict=True)}
+        values = np.zeros((height, width, ends[-1]), np.float32)
+        return cls(lanes, values, np.zeros((height, width), np.float32))
 
     def channel(self, name: str) -> Float32s:
         """Return one channel (height, width, components)."""
@@ -94,18 +93,18 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
         images.append((texels, {name: inputs[name] for name in present}))
     firsts = range(0, len(maps.areas), _ENCODED)
     list(ordered_map(executor, lambda first: _encode(maps, bits, part, images, first), firsts))
-    for texels, made in images:
-        for name, read in made.items():
-            number = _number(name, read, texels, _ALIKE[bits])
+    for texels, image_inputs in images:
+        for name, item in image_inputs.items():
+            number = _constant_input(name, item, texels, _ALIKE[bits])
             if number is not None:
                 inputs[name] = number
-                texels[..., list(read.lanes)] = _one(texels)
+                texels[..., list(item.lanes)] = _full_value(texels)
     return inputs
 
 
-def _number(name: str, read: Input, texels: Texels, alike: float) -> Input | None:
+def _constant_input(name: str, item: Input, texels: Texels, alike: float) -> Input | None:
     """Return a constant channel's input, a number; None if texels differ, or glTF has no such number."""
-    one, lanes = _one(texels), list(read.lanes)
+    one, lanes = _full_value(texels), list(item.lanes)
     fixed = {"normal": (0.5, 0.5, 1.0), "occlusion": (1.0,)}.get(name)
     first = texels[0, 0, lanes] / one if fixed is None else np.array(fixed)
     if not all((np.abs(rows[:, lanes] / one - first) <= alike).all() for rows in texels):
@@ -116,10 +115,10 @@ def _number(name: str, read: Input, texels: Texels, alike: float) -> Input | Non
     if texels.dtype == np.float32:
         return Input(tuple(mean.tolist()))
     values = decode(np.rint(mean).astype(np.uint16), CHANNELS[name].space)
-    return Input(tuple((values * read.factor).tolist()))
+    return Input(tuple((values * item.factor).tolist()))
 
 
-def _one(texels: Texels) -> float:
+def _full_value(texels: Texels) -> float:
     """Return the texel value that stands for 1."""
     return 1.0 if texels.dtype == np.float32 else 65535.0
 
@@ -133,11 +132,11 @@ def _encode(
     fit_rows(maps.values, maps.areas, part, first, fitted)
     for texels, inputs in images:
         rows = texels[first:end]
-        used = set()
-        for name, read in inputs.items():
-            space, strength, columns = CHANNELS[name].space, read.factor[0], maps.lanes[name]
-            lanes = slice(read.lanes[0], read.lanes[0] + len(read.lanes))
-            used |= {*read.lanes}
+        written = set()
+        for name, item in inputs.items():
+            space, strength, columns = CHANNELS[name].space, item.factor[0], maps.lanes[name]
+            lanes = slice(item.lanes[0], item.lanes[0] + len(item.lanes))
+            written |= {*item.lanes}
             if bits == 8:
                 codes = encode(np.float64(1.0 / strength) * fitted[..., columns], "uint8", space)
                 np.multiply(codes, np.uint16(257), out=rows[..., lanes])
@@ -147,8 +146,8 @@ def _encode(
                 rows[..., lanes] = 0.5 * fitted[..., columns] + 0.5
             else:
                 rows[..., lanes] = np.maximum(fitted[..., columns], 0.0)
-        for lane in {*range(4)} - used:
-            rows[..., lane] = _one(texels)
+        for lane in {*range(4)} - written:
+            rows[..., lane] = _full_value(texels)
 
 
 def lacking(supersample: int, blur: float) -> float:
@@ -167,12 +166,12 @@ def fit_rows(values: Float32s, areas: Float32s, part: float, first: int, fitted:
         if not 0 < first + row < height - 1 or width < 3:
             continue
         begin, count = (first + row) * across, across - 2 * lanes
-        left, here, right = numbers[begin:], numbers[begin + lanes :], numbers[begin + 2 * lanes :]
+        left, middle, right = numbers[begin:], numbers[begin + lanes :], numbers[begin + 2 * lanes :]
         above, below = numbers[begin + lanes - across :], numbers[begin + lanes + across :]
-        made = fitted[row].reshape(-1)[lanes:]
+        row_fitted = fitted[row].reshape(-1)[lanes:]
         for n in range(count):
             sides = (left[n] + right[n]) + (above[n] + below[n])
-            made[n] = here[n] - lacks * (sides - np.float32(4.0) * here[n])
+            row_fitted[n] = middle[n] - lacks * (sides - np.float32(4.0) * middle[n])
         for column in range(1, width - 1):
             least = min(areas[first + row, column - 1], areas[first + row, column + 1])
             least = min(least, min(areas[first + row - 1, column], areas[first + row + 1, column]))

@@ -61,8 +61,8 @@ def sheets_of(
         materials, owners = surface.source.materials, surface.source.triangle_materials
     if uv not in ("atlas", "xatlas"):
         try:
-            kept = list(_kept(texture, surface, names, size, padding, materials, owners, pool))
-            for sheet in kept:
+            sheets = list(_kept(texture, surface, names, size, padding, materials, owners, pool))
+            for sheet in sheets:
                 if sheet.mesh.uv is None:  # an atlas
                     continue
                 try:
@@ -71,23 +71,23 @@ def sheets_of(
                     if uv != "keep":
                         raise
                     warnings.warn(str(refusal), ModelWarning, stacklevel=3)
-            return kept
+            return sheets
         except ModelError:
             if uv == "keep":
                 raise
     layout = _atlas(texture, surface, names, size, padding, detail, by_xatlas=uv == "xatlas")
-    every = np.arange(len(surface.triangles), dtype=np.int32)
+    triangles = np.arange(len(surface.triangles), dtype=np.int32)
     kinds: dict[tuple[str, bool], list[int]] = {}
     for number in np.unique(owners).tolist():
         kinds.setdefault((materials[number].alpha_mode, materials[number].double_sided), []).append(number)
-    numbers = np.zeros(len(materials), np.int32)
-    for kind, alike in enumerate(kinds.values()):
-        numbers[alike] = kind
-    shown = [
-        materials[alike[0]] if len(alike) == 1 else materials[alike[0]]._replace(name="")
-        for alike in kinds.values()
+    kind_of = np.zeros(len(materials), np.int32)
+    for kind, numbers in enumerate(kinds.values()):
+        kind_of[numbers] = kind
+    joined = [
+        materials[numbers[0]] if len(numbers) == 1 else materials[numbers[0]]._replace(name="")
+        for numbers in kinds.values()
     ]
-    return [Sheet(surface, every, layout, shown, numbers[owners])]
+    return [Sheet(surface, triangles, layout, joined, kind_of[owners])]
 
 
 def _kept(
@@ -95,25 +95,26 @@ def _kept(
     materials: list[Material], owners: Int32s, pool: Executor,
 ) -> Iterator[Sheet]:  # fmt: skip
     """Yield the sheets of a surface at its texture coordinates; raises ModelError if they cannot be kept."""
-    around = PADDING if padding is None else padding
+    margin = PADDING if padding is None else padding
     groups: dict[object, list[int]] = {}
     for number in np.unique(owners).tolist():
-        read = [each.texture for each in materials[number].inputs.values() if each.texture is not None]
-        key = (id(read[0].texels), read[0].slot) if read else number
+        textures = [each.texture for each in materials[number].inputs.values() if each.texture is not None]
+        key = (id(textures[0].texels), textures[0].slot) if textures else number
         groups.setdefault(key, []).append(number)
-    coordinates = [_coordinates(surface, materials[alike[0]]) for alike in groups.values()]
+    coordinates = [_coordinates(surface, materials[numbers[0]]) for numbers in groups.values()]
     if all(each is None for each in coordinates):
         raise ModelError(f"{surface.name} has no texture coordinates to keep; let octex make an atlas")
-    for corners, alike in zip(coordinates, groups.values(), strict=True):
-        chosen = np.flatnonzero(np.isin(owners, alike)).astype(np.int32)
-        shown = [materials[number] for number in alike]
-        numbers = np.searchsorted(alike, owners[chosen]).astype(np.int32)
-        mesh = surface.picked(chosen)[0]
+    for corners, numbers in zip(coordinates, groups.values(), strict=True):
+        triangles = np.flatnonzero(np.isin(owners, numbers)).astype(np.int32)
+        group = [materials[number] for number in numbers]
+        local_owners = np.searchsorted(numbers, owners[triangles]).astype(np.int32)
+        mesh = surface.picked(triangles)[0]
         if corners is None:
-            yield Sheet(mesh, chosen, _atlas(texture, mesh, names, size, padding), shown, numbers)
+            layout = _atlas(texture, mesh, names, size, padding)
+            yield Sheet(mesh, triangles, layout, group, local_owners)
             continue
-        mesh.uv = corners.of(chosen)
-        layout = kept_layout(mesh, size or PROBE, around)
+        mesh.uv = corners.of(triangles)
+        layout = kept_layout(mesh, size or PROBE, margin)
         try:
             check_overlaps(texture, mesh, names, layout, pool)
         except ModelError:
@@ -121,14 +122,15 @@ def _kept(
             if not tiles:
                 raise
         else:
-            yield Sheet(mesh, chosen, _fitted(texture, mesh, names, layout, size, shown), shown, numbers)
+            layout = _fitted(texture, mesh, names, layout, size, group)
+            yield Sheet(mesh, triangles, layout, group, local_owners)
             continue
-        for name, tile, there in tiles:
-            layout = kept_layout(tile, size or PROBE, around)
+        for name, tile, of_tile in tiles:
+            layout = kept_layout(tile, size or PROBE, margin)
             check_overlaps(texture, tile, names, layout, pool)
-            named = [each._replace(name=f"{each.name}.{name}") for each in shown]
-            of_tile = _fitted(texture, tile, names, layout, size, shown)
-            yield Sheet(tile, chosen[there], of_tile, named, numbers[there])
+            tile_materials = [each._replace(name=f"{each.name}.{name}") for each in group]
+            layout = _fitted(texture, tile, names, layout, size, group)
+            yield Sheet(tile, triangles[of_tile], layout, tile_materials, local_owners[of_tile])
 
 
 def _coordinates(surface: Surface, material: Material) -> Corners | None:
@@ -146,17 +148,18 @@ def _tiles(mesh: Mesh) -> list[tuple[int, Mesh, Int32s]]:
     squares = np.floor(uv.mean(axis=1))
     across, up = squares[:, 0].astype(np.int64), -squares[:, 1].astype(np.int64)
     numbers = 1001 + across + 10 * up
-    moved = uv - squares[:, None]
-    is_tiled = (across >= 0) & (across < 10) & (up >= 0) & (np.abs(moved - 0.5) <= 0.5 + BEYOND).all((1, 2))
-    known = np.unique(numbers).tolist()
-    if not is_tiled.all() or not 1 < len(known) <= _MOST_TILES:
+    in_square = uv - squares[:, None]
+    is_tiled = (across >= 0) & (across < 10) & (up >= 0)
+    is_tiled &= (np.abs(in_square - 0.5) <= 0.5 + BEYOND).all((1, 2))
+    present = np.unique(numbers).tolist()
+    if not is_tiled.all() or not 1 < len(present) <= _MOST_TILES:
         return []
     tiles = []
-    for number in known:
-        tile, there, _ = mesh.picked(np.flatnonzero(numbers == number))
-        values = np.clip(moved[there], 0.0, 1.0).reshape(-1, 2).astype(np.float32)
-        tile.uv = Corners(values, np.arange(3 * there.size, dtype=np.int32).reshape(-1, 3))
-        tiles.append((number, tile, there))
+    for number in present:
+        tile, triangles, _ = mesh.picked(np.flatnonzero(numbers == number))
+        values = np.clip(in_square[triangles], 0.0, 1.0).reshape(-1, 2).astype(np.float32)
+        tile.uv = Corners(values, np.arange(3 * triangles.size, dtype=np.int32).reshape(-1, 3))
+        tiles.append((number, tile, triangles))
     return tiles
 
 
@@ -187,15 +190,15 @@ def _fitted(
         return layout.sized(size)
     leaf = leaf_of(texture, mesh)
     is_squeezed, areas = squeezed(texture, mesh, _LARGEST), areas_of(mesh)
-    chosen = ~is_squeezed
-    part = unit_area(layout._replace(uv=layout.uv.of(np.flatnonzero(chosen).astype(np.int32))))
-    size = _size_for(_ABOUT * leaf, areas[chosen].sum(), part)
+    is_even = ~is_squeezed
+    part = unit_area(layout._replace(uv=layout.uv.of(np.flatnonzero(is_even).astype(np.int32))))
+    size = _size_for(_ABOUT * leaf, areas[is_even].sum(), part)
     corners = size * layout.uv.values[layout.uv.rows].astype(np.float64)
     steps = steps_between(mesh.rest[mesh.triangles], corners)
-    size = min(size * fineness(texture, mesh, names, leaf, areas * chosen, steps), _LARGEST)
+    size = min(size * fineness(texture, mesh, names, leaf, areas * is_even, steps), _LARGEST)
     if is_squeezed.any():
-        read = [each.texture for material in materials for each in material.inputs.values()]
-        finest = max((max(each.texels.shape[:2]) for each in read if each is not None), default=_SMALLEST)
+        textures = [each.texture for material in materials for each in material.inputs.values()]
+        finest = max((max(each.texels.shape[:2]) for each in textures if each is not None), default=_SMALLEST)
         size = max(size, _power_above(finest))
     return layout.sized(size)
 
@@ -215,8 +218,8 @@ def coordinates_of(sheets: list[Sheet], count: int) -> Corners:
         return sheets[0].layout.uv
     values, rows, first = [], np.empty((count, 3), np.int32), 0
     for sheet in sheets:
-        used, local = np.unique(sheet.layout.uv.rows, return_inverse=True)
+        used_rows, local = np.unique(sheet.layout.uv.rows, return_inverse=True)
         rows[sheet.triangles] = first + local.reshape(-1, 3)
-        values.append(sheet.layout.uv.values[used])
-        first += used.size
+        values.append(sheet.layout.uv.values[used_rows])
+        first += used_rows.size
     return Corners(np.concatenate(values), rows)

@@ -42,19 +42,19 @@ def simplify(surface: Surface, triangles: int) -> Surface:
     check_simplifier()
     as_surface(surface)
     count = as_whole(triangles, "triangles", 4, 2**31 - 1)
-    vertices, faces = _welded(surface)
+    vertices, welded_faces = _welded(surface)
     middle, scale = vertices.mean(axis=0), float(np.ptp(vertices, axis=0).max())
-    points, made = _parts_collapsed((vertices - middle) / scale, faces, count)
-    if len(made) > _ENOUGH * count:
-        note = f"{len(made):,} triangles are left, not {count:,}: its loose parts and borders need them"
+    points, faces = _parts_collapsed((vertices - middle) / scale, welded_faces, count)
+    if len(faces) > _ENOUGH * count:
+        note = f"{len(faces):,} triangles are left, not {count:,}: its loose parts and borders need them"
         warnings.warn(f"{surface.name}: {note}", ModelWarning, stacklevel=2)
     vertices = points * scale + middle
     normals = np.empty_like(vertices)
-    normals[made] = corner_normals(vertices, made, _SMOOTH)
-    is_none = ~normals.any(axis=1)[made]  # where triangles lie back to back
+    normals[faces] = corner_normals(vertices, faces, _SMOOTH)
+    is_none = ~normals.any(axis=1)[faces]  # where triangles lie back to back
     rows, corners = np.nonzero(is_none)
-    normals[made[rows, corners]] = unit_normals(vertices[made[rows]])
-    return Surface.from_arrays(vertices, made, normals=normals, name=surface.name)
+    normals[faces[rows, corners]] = unit_normals(vertices[faces[rows]])
+    return Surface.from_arrays(vertices, faces, normals=normals, name=surface.name)
 
 
 def check_simplifier() -> None:
@@ -80,33 +80,33 @@ def _parts_collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float
     """Collapse edges until about ``count`` triangles are left, a few of them in each loose part."""
     parts = parts_of(faces, np.arange(len(points)))
     is_small = (np.bincount(parts) * (count / len(faces)) < _LEAST)[parts]
-    order = np.flatnonzero(is_small)
-    order = order[np.argsort(parts[order], kind="stable")]
-    pieces = np.split(faces[order], np.flatnonzero(np.diff(parts[order])) + 1) if order.size else []
-    made = [_collapsed(points, each, _LEAST) for each in pieces]
+    rows = np.flatnonzero(is_small)
+    rows = rows[np.argsort(parts[rows], kind="stable")]
+    small_parts = np.split(faces[rows], np.flatnonzero(np.diff(parts[rows])) + 1) if rows.size else []
+    collapsed = [_collapsed(points, each, _LEAST) for each in small_parts]
     if not is_small.all():
         large = faces[~is_small]
-        left = count - sum(len(each) for _, each in made)
-        made.append(_collapsed(points, large, max(left, round(count * len(large) / len(faces)), _LEAST)))
-    firsts = np.cumsum([0, *(len(each) for each, _ in made)])
-    numbered = [each + first for (_, each), first in zip(made, firsts, strict=False)]
-    return np.concatenate([each for each, _ in made]), np.concatenate(numbered).astype(np.int32)
+        remaining = count - sum(len(each) for _, each in collapsed)
+        share = round(count * len(large) / len(faces))
+        collapsed.append(_collapsed(points, large, max(remaining, share, _LEAST)))
+    firsts = np.cumsum([0, *(len(each) for each, _ in collapsed)])
+    numbered = [each + first for (_, each), first in zip(collapsed, firsts, strict=False)]
+    return np.concatenate([each for each, _ in collapsed]), np.concatenate(numbered).astype(np.int32)
 
 
 def _collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float64s, Int32s]:
     """Collapse edges until about ``count`` triangles are left; return these and their points."""
-    from fast_simplification import simplify as collapsed
+    from fast_simplification import simplify as collapse_edges
 
     points, faces = _used(points, faces)
     for boldness, keeps_borders in _ROUNDS:
         if len(faces) <= _ENOUGH * count:
             break
-        found, left = collapsed(
-            points, faces, target_count=count, agg=boldness, preserve_border=keeps_borders
-        )
-        left = left[has_area(found[left])]
-        if len(left) >= min(count, _LEAST) // 2:  # else a part would vanish
-            points, faces = _used(found, left)
+        settings = {"target_count": count, "agg": boldness, "preserve_border": keeps_borders}
+        new_points, new_faces = collapse_edges(points, faces, **settings)
+        new_faces = new_faces[has_area(new_points[new_faces])]
+        if len(new_faces) >= min(count, _LEAST) // 2:  # else a part would vanish
+            points, faces = _used(new_points, new_faces)
     return points, faces
 
 

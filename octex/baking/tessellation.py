@@ -24,10 +24,10 @@ class Tessellation(NamedTuple):
 
     def spread(self, corners: Float64s) -> Float64s:
         """Interpolate values at the corners of parents (t, 3, k) to the vertices (vertices, k)."""
-        made = np.empty((self.vertices, corners.shape[2]))
+        values = np.empty((self.vertices, corners.shape[2]))
         a, b, c = (self.barycentric[:, n, None] * corners[self.owners, n] for n in range(3))
-        made[self.points] = a + b + c
-        return made
+        values[self.points] = a + b + c
+        return values
 
 
 def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s]) -> Tessellation:
@@ -46,49 +46,44 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
     for level in np.unique(depth).tolist():
         group = np.flatnonzero(depth == level)
         n = 2**level
-        grid, fine = _grid(n)
-        numbers = np.empty((len(group), len(grid)), np.int64)
-        inside = (grid > 0).all(axis=1)
-        inner = int(inside.sum())
-        numbers[:, inside] = count + np.arange(len(group) * inner).reshape(len(group), inner)
-        count += len(group) * inner
-        barycentric = np.broadcast_to(grid / n, (len(group), *grid.shape)).copy()
+        points, fine = _grid(n)
+        numbers = np.empty((len(group), len(points)), np.int64)
+        inside = (points > 0).all(axis=1)
+        inside_count = int(inside.sum())
+        numbers[:, inside] = count + np.arange(len(group) * inside_count).reshape(len(group), inside_count)
+        count += len(group) * inside_count
+        barycentric = np.broadcast_to(points / n, (len(group), *points.shape)).copy()
         for side in range(3):
             a, b, c = side, (side + 1) % 3, (side + 2) % 3
-            rim = np.flatnonzero(grid[:, c] == 0)
+            rim = np.flatnonzero(points[:, c] == 0)
             edge = sides[group, side]
             step = (n >> levels[edge])[:, None]  # rows of the grid a part of the edge
-            along = (grid[rim, b] + step // 2) // step
+            along = (points[rim, b] + step // 2) // step
             most = (2 ** levels[edge])[:, None]
             is_turned = (ends[edge, 0] != triangles[group, a])[:, None]
             between = firsts[edge][:, None] - 1 + np.where(is_turned, most - along, along)
-            corners = triangles[group]
+            parent_corners = triangles[group]
             numbers[:, rim] = np.where(
-                along == 0, corners[:, a, None], np.where(along == most, corners[:, b, None], between)
+                along == 0,
+                parent_corners[:, a, None],
+                np.where(along == most, parent_corners[:, b, None], between),
             )
             barycentric[:, rim, b] = along * step / n
             barycentric[:, rim, a] = 1 - barycentric[:, rim, b]
-        room = len(group) * len(fine)
-        made, parents = np.empty((room, 3), np.int32), np.empty(room, np.int64)
-        shares = np.empty((room, 3, 3))
-        wide = _divide(group, numbers, barycentric, fine, made, parents, shares)
-        parts.append(
-            (
-                made[:wide],
-                parents[:wide],
-                shares[:wide],
-                numbers.ravel(),
-                np.repeat(group, len(grid)),
-                barycentric.reshape(-1, 3),
-            )
-        )
+        capacity = len(group) * len(fine)
+        corners, parents = np.empty((capacity, 3), np.int32), np.empty(capacity, np.int64)
+        shares = np.empty((capacity, 3, 3))
+        kept = slice(_divide(group, numbers, barycentric, fine, corners, parents, shares))
+        owners = np.repeat(group, len(points))
+        vertices = numbers.ravel(), owners, barycentric.reshape(-1, 3)
+        parts.append((corners[kept], parents[kept], shares[kept], *vertices))
     joined = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
     return Tessellation._make([*joined, count])
 
 
 @kernel
 def _divide(
-    group: Int64s, numbers: Int64s, barycentric: Float64s, fine: Int64s, made: Int32s, parents: Int64s,
+    group: Int64s, numbers: Int64s, barycentric: Float64s, fine: Int64s, triangles: Int32s, parents: Int64s,
     shares: Float64s,
 ) -> int:  # fmt: skip
     """Write the triangles of the parents' grids that have area; return how many there are."""
@@ -98,7 +93,7 @@ def _divide(
             a, b, c = numbers[t, fine[f, 0]], numbers[t, fine[f, 1]], numbers[t, fine[f, 2]]
             if a == b or b == c or c == a:
                 continue
-            made[count, 0], made[count, 1], made[count, 2] = a, b, c
+            triangles[count, 0], triangles[count, 1], triangles[count, 2] = a, b, c
             parents[count] = group[t]
             for corner in range(3):
                 for k in range(3):

@@ -20,8 +20,8 @@ _NEAR = 1e-9
 _ON_EDGE = 1e-6
 
 
-class Drawn(NamedTuple):
-    """What the texels of a band of rows show."""
+class TexelRows(NamedTuple):
+    """The triangle that each texel of a band of rows shows, and the part that its chart covers."""
 
     triangles: Int32s  # (rows, width)   −1: none
     centroids: Float32s  # (rows, width, 2)   of the covered part, right and down from the texel's corner
@@ -41,18 +41,19 @@ class Drawing(NamedTuple):
         rows = layout.corners[..., 1]
         return cls(layout, rows.min(axis=1), rows.max(axis=1))
 
-    def rows(self, first: int, end: int) -> Drawn:
+    def rows(self, first: int, end: int) -> TexelRows:
         """Draw rows; ``triangles`` of the result are the layout's."""
         numbers = np.flatnonzero((self.tops <= end) & (self.bottoms >= first)).astype(np.int32)
-        layout = self.layout
-        chosen = layout.corners[numbers], layout.charts[numbers], layout.edges[numbers], layout.width
-        drawn = draw_texels(*chosen, first, end)
+        chosen = self.layout.of(numbers)
+        drawn = draw_texels(chosen.corners, chosen.charts, chosen.edges, chosen.width, first, end)
         is_drawn = drawn.triangles >= 0
         drawn.triangles[is_drawn] = numbers[drawn.triangles[is_drawn]]
         return drawn
 
 
-def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, first: int, end: int) -> Drawn:
+def draw_texels(
+    corners: Float64s, charts: Int32s, edges: Bools, width: int, first: int, end: int
+) -> TexelRows:
     """Draw rows ``first`` to ``end`` of a map.
 
     ``corners`` (m, 3, 2) are triangles in texels, x to the right and y down; ``charts`` (m,) their charts;
@@ -65,13 +66,13 @@ def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, fir
     centroids, cut = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.bool_)
     _mark_cut(corners, edges, first, cut)
     _fill(corners, first, cut, triangles, areas, centroids)
-    room = _Pieces(np.empty(0, np.int64), np.empty(0, np.int32), np.empty((0, 3)))
-    count = _list_pieces(corners, first, cut, room)
+    no_pieces = _Pieces(np.empty(0, np.int64), np.empty(0, np.int32), np.empty((0, 3)))
+    count = _list_pieces(corners, first, cut, no_pieces)
     pieces = _Pieces(np.empty(count, np.int64), np.empty(count, np.int32), np.zeros((count, 3)))
     _list_pieces(corners, first, cut, pieces)
-    flat = cut.ravel(), triangles.ravel(), areas.ravel(), centroids.reshape(-1, 2)
-    _settle(corners, charts, first, width, pieces, *flat)
-    return Drawn(triangles, centroids, areas)
+    cells = cut.ravel(), triangles.ravel(), areas.ravel(), centroids.reshape(-1, 2)
+    _assign(corners, charts, first, width, pieces, *cells)
+    return TexelRows(triangles, centroids, areas)
 
 
 class _Pieces(NamedTuple):
@@ -91,21 +92,21 @@ def _reach(corners: Float64s, triangle: int, axis: int, low: int, high: int) -> 
 
 
 @inlined
-def _cut(polygon: Float64s, count: int, axis: int, limit: float, sign: float, found: Float64s) -> int:
+def _cut(polygon: Float64s, corners: int, axis: int, limit: float, sign: float, clipped: Float64s) -> int:
     """Clip a polygon along an axis to sign · (coordinate − limit) ≥ 0."""
-    made = 0
-    for n in range(count):
-        m = n + 1 if n + 1 < count else 0
-        here, there = sign * (polygon[n, axis] - limit), sign * (polygon[m, axis] - limit)
-        if here >= 0.0:
-            found[made, 0], found[made, 1] = polygon[n, 0], polygon[n, 1]
-            made += 1
-        if (here >= 0.0) != (there >= 0.0):
-            part = here / (here - there)
-            found[made, 0] = polygon[n, 0] + part * (polygon[m, 0] - polygon[n, 0])
-            found[made, 1] = polygon[n, 1] + part * (polygon[m, 1] - polygon[n, 1])
-            made += 1
-    return made
+    count = 0
+    for n in range(corners):
+        m = n + 1 if n + 1 < corners else 0
+        before, after = sign * (polygon[n, axis] - limit), sign * (polygon[m, axis] - limit)
+        if before >= 0.0:
+            clipped[count, 0], clipped[count, 1] = polygon[n, 0], polygon[n, 1]
+            count += 1
+        if (before >= 0.0) != (after >= 0.0):
+            part = before / (before - after)
+            clipped[count, 0] = polygon[n, 0] + part * (polygon[m, 0] - polygon[n, 0])
+            clipped[count, 1] = polygon[n, 1] + part * (polygon[m, 1] - polygon[n, 1])
+            count += 1
+    return count
 
 
 @inlined
@@ -124,7 +125,7 @@ def _lines(corners: Float64s, triangle: int, lines: Float64s) -> bool:
 
 
 @inlined
-def _enter(
+def _ranges(
     corners: Float64s, triangle: int, first: int, shape: tuple[int, int], lines: Float64s
 ) -> tuple[int, int, int, int]:
     """Write a triangle's sides; return its ranges of rows (empty without area) and columns."""
@@ -136,31 +137,31 @@ def _enter(
 
 
 @inlined
-def _middles(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
+def _centre_range(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
     """Narrow a row's range to texels whose centres a triangle covers; edges belong to both sides."""
     low, high = float(left), float(right)
     for k in range(3):
-        across, at = lines[k, 0], lines[k, 1] * (row + 0.5) + lines[k, 2]
+        across, offset = lines[k, 0], lines[k, 1] * (row + 0.5) + lines[k, 2]
         if across > 0.0:
-            low = min(max(low, np.ceil(-at / across - 0.5 - _ON_EDGE)), high)
+            low = min(max(low, np.ceil(-offset / across - 0.5 - _ON_EDGE)), high)
         elif across < 0.0:
-            high = max(min(high, np.floor(-at / across - 0.5 + _ON_EDGE) + 1.0), low)
-        elif at < -_NEAR:
+            high = max(min(high, np.floor(-offset / across - 0.5 + _ON_EDGE) + 1.0), low)
+        elif offset < -_NEAR:
             high = low
     return int(low), int(high)
 
 
 @inlined
-def _span(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
+def _touched_range(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
     """Narrow a row's range to texels that a triangle may meet."""
     low, high = float(left), float(right)
     for k in range(3):
         across, down = lines[k, 0], lines[k, 1]
-        most = down * row + lines[k, 2] + max(across, 0.0) + max(down, 0.0)
+        offset = down * row + lines[k, 2] + max(across, 0.0) + max(down, 0.0)
         if across > 0.0:
-            low = min(max(low, np.floor(-most / across)), high)
+            low = min(max(low, np.floor(-offset / across)), high)
         elif across < 0.0:
-            high = max(min(high, np.ceil(-most / across) + 1.0), low)
+            high = max(min(high, np.ceil(-offset / across) + 1.0), low)
     return int(low), int(high)
 
 
@@ -170,8 +171,8 @@ def _meets(lines: Float64s, column: int, row: int) -> bool:
     meets = True
     for k in range(3):
         across, down = lines[k, 0], lines[k, 1]
-        at = across * column + down * row + lines[k, 2]
-        meets &= at + max(across, 0.0) + max(down, 0.0) > 0.0
+        offset = across * column + down * row + lines[k, 2]
+        meets &= offset + max(across, 0.0) + max(down, 0.0) > 0.0
     return meets
 
 
@@ -203,9 +204,9 @@ def _fill(
     """Write the texels that no edge cuts, by their centres: a chart covers each wholly or not at all."""
     lines = np.empty((3, 3))
     for triangle in range(corners.shape[0]):
-        top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
+        top, bottom, left, right = _ranges(corners, triangle, first, triangles.shape, lines)
         for row in range(top, bottom):
-            low, high = _middles(lines, row, left, right)
+            low, high = _centre_range(lines, row, left, right)
             for column in range(low, high):
                 at = np.uint64(row - first), np.uint64(column)
                 if not cut[at] and triangles[at] < 0:
@@ -215,38 +216,38 @@ def _fill(
 
 @inlined
 def _covered(
-    corners: Float64s, triangle: int, column: int, row: int, one: Float64s, two: Float64s
+    corners: Float64s, triangle: int, column: int, row: int, polygon: Float64s, clipped: Float64s
 ) -> tuple[float, float, float]:
     """Return the area of a triangle in a texel, and the area times its centroid relative to the texel."""
     for k in range(3):
-        one[k, 0], one[k, 1] = corners[triangle, k, 0] - column, corners[triangle, k, 1] - row
-    doubled = (one[1, 0] - one[0, 0]) * (one[2, 1] - one[0, 1])
-    doubled -= (one[1, 1] - one[0, 1]) * (one[2, 0] - one[0, 0])
+        polygon[k, 0], polygon[k, 1] = corners[triangle, k, 0] - column, corners[triangle, k, 1] - row
+    doubled = (polygon[1, 0] - polygon[0, 0]) * (polygon[2, 1] - polygon[0, 1])
+    doubled -= (polygon[1, 1] - polygon[0, 1]) * (polygon[2, 0] - polygon[0, 0])
     sign = 1.0 if doubled > 0.0 else -1.0
-    count = _cut(one, 3, 0, 0.0, 1.0, two)
-    count = _cut(two, count, 0, 1.0, -1.0, one)
-    count = _cut(one, count, 1, 0.0, 1.0, two)
-    count = _cut(two, count, 1, 1.0, -1.0, one)
+    count = _cut(polygon, 3, 0, 0.0, 1.0, clipped)
+    count = _cut(clipped, count, 0, 1.0, -1.0, polygon)
+    count = _cut(polygon, count, 1, 0.0, 1.0, clipped)
+    count = _cut(clipped, count, 1, 1.0, -1.0, polygon)
     area = x = y = 0.0
     for n in range(1, count - 1):
-        bx, by = one[n, 0] - one[0, 0], one[n, 1] - one[0, 1]
-        cx, cy = one[n + 1, 0] - one[0, 0], one[n + 1, 1] - one[0, 1]
+        bx, by = polygon[n, 0] - polygon[0, 0], polygon[n, 1] - polygon[0, 1]
+        cx, cy = polygon[n + 1, 0] - polygon[0, 0], polygon[n + 1, 1] - polygon[0, 1]
         part = 0.5 * sign * (bx * cy - by * cx)
         area += part
-        x += part * (one[0, 0] + (bx + cx) / 3.0)
-        y += part * (one[0, 1] + (by + cy) / 3.0)
+        x += part * (polygon[0, 0] + (bx + cx) / 3.0)
+        y += part * (polygon[0, 1] + (by + cy) / 3.0)
     return area, x, y
 
 
 @kernel
 def _list_pieces(corners: Float64s, first: int, cut: Bools, pieces: _Pieces) -> int:
     """Write the pieces of triangles in ``cut`` texels, as far as there is room; return how many there are."""
-    one, two, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
+    polygon, clipped, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
     count, room = 0, pieces.texels.size
     for triangle in range(corners.shape[0]):
-        top, bottom, left, right = _enter(corners, triangle, first, cut.shape, lines)
+        top, bottom, left, right = _ranges(corners, triangle, first, cut.shape, lines)
         for row in range(top, bottom):
-            low, high = _span(lines, row, left, right)
+            low, high = _touched_range(lines, row, left, right)
             for column in range(low, high):
                 if not cut[row - first, column]:
                     continue
@@ -254,7 +255,7 @@ def _list_pieces(corners: Float64s, first: int, cut: Bools, pieces: _Pieces) -> 
                     pieces.texels[count] = (row - first) * cut.shape[1] + column
                     pieces.triangles[count] = triangle
                     if _meets(lines, column, row):
-                        area, x, y = _covered(corners, triangle, column, row, one, two)
+                        area, x, y = _covered(corners, triangle, column, row, polygon, clipped)
                         covered = pieces.covered[count]
                         covered[0], covered[1], covered[2] = area, x, y
                 count += 1
@@ -278,34 +279,34 @@ def _barycentric(corners: Float64s, triangle: int, x: float, y: float) -> tuple[
 @kernel
 def barycentric_at(corners: Float64s, triangles: Int32s, points: Float64s) -> Float64s:
     """Return barycentric coordinates (n, 3) of map positions (n, 2), clamped to triangles (n,)."""
-    found = np.empty((triangles.size, 3))
+    weights = np.empty((triangles.size, 3))
     for n in range(triangles.size):
         p, q, r = _barycentric(corners, int(triangles[n]), points[n, 0], points[n, 1])
         p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
         total = p + q + r
-        found[n, 0], found[n, 1], found[n, 2] = p / total, q / total, r / total
-    return found
+        weights[n, 0], weights[n, 1], weights[n, 2] = p / total, q / total, r / total
+    return weights
 
 
 @kernel
-def _settle(
+def _assign(
     corners: Float64s, charts: Int32s, first: int, width: int, pieces: _Pieces, cut: Bools,
     triangles: Int32s, areas: Float32s, centroids: Float32s,
 ) -> None:  # fmt: skip
     """Assign ``cut`` texels to the chart whose triangle covers most, with the part that it covers."""
-    at, of, covered = pieces
-    for n in range(at.size):
-        if covered[n, 0] > max(np.float64(areas[at[n]]), _LEAST):
-            areas[at[n]], triangles[at[n]] = covered[n, 0], of[n]
+    texels, owners, covered = pieces
+    for n in range(texels.size):
+        if covered[n, 0] > max(np.float64(areas[texels[n]]), _LEAST):
+            areas[texels[n]], triangles[texels[n]] = covered[n, 0], owners[n]
     for texel in range(cut.size):
         if cut[texel]:
             areas[texel] = 0.0
-    for n in range(at.size):
-        owner = triangles[at[n]]
-        if owner >= 0 and charts[owner] == charts[of[n]]:
-            areas[at[n]] += np.float32(covered[n, 0])
-            centroids[at[n], 0] += np.float32(covered[n, 1])
-            centroids[at[n], 1] += np.float32(covered[n, 2])
+    for n in range(texels.size):
+        owner = triangles[texels[n]]
+        if owner >= 0 and charts[owner] == charts[owners[n]]:
+            areas[texels[n]] += np.float32(covered[n, 0])
+            centroids[texels[n], 0] += np.float32(covered[n, 1])
+            centroids[texels[n], 1] += np.float32(covered[n, 2])
     nearest = np.full(cut.size, np.inf, np.float32)
     for texel in range(cut.size):
         if cut[texel] and triangles[texel] >= 0:
@@ -315,12 +316,12 @@ def _settle(
             areas[texel] = min(areas[texel], np.float32(1.0))
             nearest[texel] = _inside(corners, int(triangles[texel]), first, width, texel, centroids)
     # The chart's triangle that contains the centroid, or comes nearest.
-    for n in range(at.size):
-        texel = at[n]
-        if nearest[texel] < 0.0 and charts[triangles[texel]] == charts[of[n]]:
-            inside = _inside(corners, int(of[n]), first, width, texel, centroids)
+    for n in range(texels.size):
+        texel = texels[n]
+        if nearest[texel] < 0.0 and charts[triangles[texel]] == charts[owners[n]]:
+            inside = _inside(corners, int(owners[n]), first, width, texel, centroids)
             if inside > np.float64(nearest[texel]):
-                nearest[texel], triangles[texel] = inside, of[n]
+                nearest[texel], triangles[texel] = inside, owners[n]
 
 
 @inlined
@@ -333,7 +334,7 @@ def _inside(
     return min(p, min(q, r))
 
 
-class Shown(NamedTuple):
+class TexelPoints(NamedTuple):
     """Points that texels show, by tile and triangle; within a triangle by squares of 8² in Morton order."""
 
     texels: Int32s  # (t,)   counted row by row
@@ -342,14 +343,14 @@ class Shown(NamedTuple):
     starts: Int32s  # (runs + 1,)   a run's texels lie in one tile and show one triangle
     triangles: Int32s  # (runs,)   of the surface
 
-    def each(self) -> Int32s:
+    def triangle_of_each(self) -> Int32s:
         """Return the triangle of each texel (t,)."""
         return np.repeat(self.triangles, np.diff(self.starts))
 
 
 def texel_points(
-    corners: Float64s, faces: Int32s, drawn: Drawn, first: int, rest: Float64s, triangles: Int32s
-) -> Shown:
+    corners: Float64s, faces: Int32s, drawn: TexelRows, first: int, rest: Float64s, triangles: Int32s
+) -> TexelPoints:
     """Return the points that a map's texels show, from row ``first`` on.
 
     ``corners`` (k, 3, 2) were drawn for the surface's triangles ``faces`` (k,); ``triangles`` (m, 3) index
@@ -357,44 +358,44 @@ def texel_points(
     """
     row, column = np.nonzero(drawn.triangles >= 0)
     width = drawn.triangles.shape[1]
-    shows = drawn.triangles[row, column].astype(np.int64)
+    owners = drawn.triangles[row, column].astype(np.int64)
     tile = (row >> 5) * (width // _TILE + 1) + (column >> 5)
     square = column >> 3 & 1 | row >> 2 & 2 | column >> 2 & 4 | row >> 1 & 8
-    keys = (tile << 31 | shows) << 10 | square << 6 | (row & 7) << 3 | column & 7
+    keys = (tile << 31 | owners) << 10 | square << 6 | (row & 7) << 3 | column & 7
     order = np.argsort(keys)
     starts = np.flatnonzero(np.diff(keys[order] >> 10, prepend=-1))
-    runs = shows[order[starts]].astype(np.int32)
+    runs = owners[order[starts]].astype(np.int32)
     count = row.size
-    shown = Shown(
+    points = TexelPoints(
         (row * width + column)[order].astype(np.int32), np.empty((count, 3)), np.empty((count, 3)),
         np.append(starts, count).astype(np.int32), faces[runs],
     )  # fmt: skip
-    _find_points(corners, runs, drawn.centroids, first, rest, triangles, shown)
-    return shown
+    _find_points(corners, runs, drawn.centroids, first, rest, triangles, points)
+    return points
 
 
 @kernel
 def _find_points(
     corners: Float64s, runs: Int32s, centroids: Float32s, first: int, rest: Float64s, triangles: Int32s,
-    shown: Shown,
+    points: TexelPoints,
 ) -> None:  # fmt: skip
     """Write the points of texels; ``runs`` (n,) are the drawn triangles of the runs."""
-    width, over = centroids.shape[1], (1.0 + 1e-12) / centroids.shape[1]
+    width, inverse_width = centroids.shape[1], (1.0 + 1e-12) / centroids.shape[1]
     for run in range(runs.size):
-        of, owner = runs[run], shown.triangles[run]
-        a, b, c = triangles[owner, 0], triangles[owner, 1], triangles[owner, 2]
-        left, top = corners[of, 0, 0], corners[of, 0, 1]
-        bx, by = corners[of, 1, 0] - left, corners[of, 1, 1] - top
-        cx, cy = corners[of, 2, 0] - left, corners[of, 2, 1] - top
+        triangle, face = runs[run], points.triangles[run]
+        a, b, c = triangles[face, 0], triangles[face, 1], triangles[face, 2]
+        left, top = corners[triangle, 0, 0], corners[triangle, 0, 1]
+        bx, by = corners[triangle, 1, 0] - left, corners[triangle, 1, 1] - top
+        cx, cy = corners[triangle, 2, 0] - left, corners[triangle, 2, 1] - top
         doubled = bx * cy - by * cx
         inverse = 1.0 / doubled if doubled != 0.0 else 0.0
         bx, by, cx, cy = bx * inverse, by * inverse, cx * inverse, cy * inverse
         ax, ay, az = rest[a, 0], rest[a, 1], rest[a, 2]
         sx, sy, sz = rest[b, 0] - ax, rest[b, 1] - ay, rest[b, 2] - az
         tx, ty, tz = rest[c, 0] - ax, rest[c, 1] - ay, rest[c, 2] - az
-        for n in range(shown.starts[run], shown.starts[run + 1]):
-            texel = shown.texels[n]
-            row = np.int32(np.float64(texel) * over)
+        for n in range(points.starts[run], points.starts[run + 1]):
+            texel = points.texels[n]
+            row = np.int32(np.float64(texel) * inverse_width)
             row -= np.int32(row * width > texel)
             column = texel - row * width
             x = column + np.float64(centroids[np.uint64(row), np.uint64(column), 0]) - left
@@ -405,7 +406,7 @@ def _find_points(
                 p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
                 total = p + q + r
                 p, q, r = p / total, q / total, r / total
-            shown.barycentric[n, 0], shown.barycentric[n, 1], shown.barycentric[n, 2] = p, q, r
-            shown.rest[n, 0] = ax + q * sx + r * tx
-            shown.rest[n, 1] = ay + q * sy + r * ty
-            shown.rest[n, 2] = az + q * sz + r * tz
+            points.barycentric[n, 0], points.barycentric[n, 1], points.barycentric[n, 2] = p, q, r
+            points.rest[n, 0] = ax + q * sx + r * tx
+            points.rest[n, 1] = ay + q * sy + r * ty
+            points.rest[n, 2] = az + q * sz + r * tz

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s
-from octex.baking.layout import doubled_areas, pieces_of, steps_between
+from octex.baking.layout import doubled_areas, pieces_of, steps_between, sums_of
 from octex.jit import kernel, part
-from octex.source.corners import area_vectors, unit
+from octex.source.corners import area_vectors, unit, unit_normals
 
 #: Length of the model's longest side in the map in which charts are flattened.
 SIDE = 1024.0
@@ -41,7 +41,7 @@ class ChartMesh(NamedTuple):
     """The triangles to flatten; the model's longest side is 1."""
 
     corners: Float64s  # (m, 3, 3)
-    others: Int32s  # (m, 3)   the triangle across each side; −1: none
+    neighbours: Int32s  # (m, 3)   the triangle across each side; −1: none
     areas: Float64s  # (m,)   doubled
     normals: Float64s  # (m, 3)   of triangles
     facings: Float64s  # (m, 3)   normals averaged over neighbours
@@ -50,11 +50,6 @@ class ChartMesh(NamedTuple):
 def axes_of(mesh: ChartMesh, charts: Int64s) -> Float64s:
     """Return the mean normals of charts (n, 3)."""
     return unit(sums_of(charts, mesh.normals * mesh.areas[:, None]))
-
-
-def sums_of(charts: Int64s, values: Float64s) -> Float64s:
-    """Return the sums (n, k) of values (m, k) of charts (m,)."""
-    return np.stack([np.bincount(charts, column) for column in values.T], axis=1)
 
 
 def _projected(corners: Float64s, directions: Float64s) -> Float64s:
@@ -70,54 +65,55 @@ def _folded(corners: Float64s, flat: Float64s) -> Bools:
     """Return the triangles (m, 3, 3) that are upside down, or stretched as if seen nearly edge-on."""
     right, down = steps_between(SIDE * corners, flat)
     is_stretched = (right**2 + down**2).sum(axis=1) > 1.0 + _ON_EDGE**-2.0
-    found: Bools = ((doubled_areas(flat) >= 0.0) | is_stretched) & area_vectors(corners).any(axis=1)
-    return found
+    is_folded: Bools = ((doubled_areas(flat) >= 0.0) | is_stretched) & area_vectors(corners).any(axis=1)
+    return is_folded
 
 
 def unfolded(mesh: ChartMesh, rows: Int64s, positions: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
-    """Flatten charts by projection. Where they fold, smooth the surface first; cut out what still folds.
+    """Flatten charts by projection. Folds are smoothed on the surface, then cut out.
 
     Triangles that fold move to a neighbour's chart if that shows them.
     """
-    corners, others, areas = mesh.corners, mesh.others, mesh.areas
+    corners, neighbours, areas = mesh.corners, mesh.neighbours, mesh.areas
     axes = axes_of(mesh, charts)
     flat = _projected(corners, axes[charts])
     folded = _folded(corners, flat)
     for n in range(_PASSED):
         rows_folded = np.flatnonzero(folded)
         before = charts.copy()
-        _pass_on(others, unit(area_vectors(positions[rows[rows_folded]])), axes, rows_folded, charts)
-        _absorb(others, areas, charts)
-        near_rows, near = _around(rows, folded | (charts != before), len(positions), n)
-        _smooth(rows[near_rows], others[near_rows], near, 2, positions)
-        flat[near_rows] = _projected(positions[rows[near_rows]], axes[charts[near_rows]])
-        folded[near_rows] = _folded(corners[near_rows], flat[near_rows])
+        normals = unit_normals(positions[rows[rows_folded]])
+        _move_to_neighbours(neighbours, normals, axes, rows_folded, charts)
+        _absorb(neighbours, areas, charts)
+        near, is_near = _around(rows, folded | (charts != before), len(positions), n)
+        _smooth(rows[near], neighbours[near], is_near, 2, positions)
+        flat[near] = _projected(positions[rows[near]], axes[charts[near]])
+        folded[near] = _folded(corners[near], flat[near])
     for n in range(_RELAXED):
         if not folded.any():
             break
-        near_rows, _ = _around(rows, folded, len(positions), n + 1)
-        keys = charts[near_rows, None] * len(positions) + rows[near_rows]
-        known, numbers = np.unique(keys, return_inverse=True)
-        moved = np.empty((known.size, 2))
+        near, _ = _around(rows, folded, len(positions), n + 1)
+        vertex_keys = charts[near, None] * len(positions) + rows[near]
+        keys_of_vertices, numbers = np.unique(vertex_keys, return_inverse=True)
+        relaxed = np.empty((keys_of_vertices.size, 2))
         numbers = numbers.reshape(-1, 3)
-        moved[numbers] = flat[near_rows]
-        _, near = _around(numbers, folded[near_rows], known.size, n)
-        joined = np.where(charts[others[near_rows]] == charts[near_rows, None], others[near_rows], -1)
-        _smooth(numbers, joined, near, 4, moved)
-        flat[near_rows] = moved[numbers]
-        folded[near_rows] = _folded(corners[near_rows], flat[near_rows])
+        relaxed[numbers] = flat[near]
+        _, is_near = _around(numbers, folded[near], keys_of_vertices.size, n)
+        chart_neighbours = np.where(charts[neighbours[near]] == charts[near, None], neighbours[near], -1)
+        _smooth(numbers, chart_neighbours, is_near, 4, relaxed)
+        flat[near] = relaxed[numbers]
+        folded[near] = _folded(corners[near], flat[near])
     folded = _cut(mesh, flat, folded, charts)
     flat[folded] = _projected(corners[folded], axes_of(mesh, charts)[charts[folded]])
     return flat, charts
 
 
-def _around(rows: Int64s, chosen: Bools, count: int, rings: int) -> tuple[Int64s, Bools]:
+def _around(rows: Int64s, is_chosen: Bools, count: int, rings: int) -> tuple[Int64s, Bools]:
     """Return the triangles within ``rings`` rings of the chosen ones, and the vertices there."""
-    near = np.zeros(count, np.bool_)
-    near[rows[chosen]] = True
+    is_near = np.zeros(count, np.bool_)
+    is_near[rows[is_chosen]] = True
     for _ in range(rings):
-        near[rows[near[rows].any(axis=1)]] = True
-    return np.flatnonzero(near[rows].any(axis=1)), near
+        is_near[rows[is_near[rows].any(axis=1)]] = True
+    return np.flatnonzero(is_near[rows].any(axis=1)), is_near
 
 
 def _cut(mesh: ChartMesh, flat: Float64s, folded: Bools, charts: Int64s) -> Bools:
@@ -125,98 +121,100 @@ def _cut(mesh: ChartMesh, flat: Float64s, folded: Bools, charts: Int64s) -> Bool
 
     Small edge-on triangles stay.
     """
-    _, others, areas, normals, _ = mesh
-    upside = folded & (doubled_areas(flat) >= -_LEAST_SHOWN * SIDE**2 * areas)
-    groups = connected(others, folded.astype(np.int64))
-    is_cut = folded & ((np.bincount(groups, areas)[groups] >= TINY) | upside)
+    _, neighbours, areas, normals, _ = mesh
+    is_upside = folded & (doubled_areas(flat) >= -_LEAST_SHOWN * SIDE**2 * areas)
+    groups = connected(neighbours, folded.astype(np.int64))
+    is_cut = folded & ((np.bincount(groups, areas)[groups] >= TINY) | is_upside)
     count = int(charts.max()) + 1
-    cut = np.where(is_cut, -1, charts)
-    end = grow(others, normals, areas, np.flatnonzero(is_cut), LEAST, count, cut)
+    new_charts = np.where(is_cut, -1, charts)
+    chart_count = grow(neighbours, normals, areas, np.flatnonzero(is_cut), LEAST, count, new_charts)
     for _ in range(_WIDENED):
-        is_new = cut >= count
-        sizes = np.bincount(cut[is_new] - count, areas[is_new], end - count)
-        ring = np.flatnonzero(~is_new & ((others >= 0) & is_new[others]).any(axis=1))
+        is_new = new_charts >= count
+        sizes = np.bincount(new_charts[is_new] - count, areas[is_new], chart_count - count)
+        ring = np.flatnonzero(~is_new & ((neighbours >= 0) & is_new[neighbours]).any(axis=1))
         if not ring.size:
             break
-        axes = unit(sums_of(cut[is_new] - count, normals[is_new] * areas[is_new, None]))
-        nearby = np.where(others[ring] >= 0, cut[others[ring]], -1) - count
-        is_none, nearby = nearby < 0, np.maximum(nearby, 0)
-        shown = np.einsum("mx,mkx->mk", normals[ring], axes[nearby])
-        shown[is_none | (sizes[nearby] >= TINY)] = -1.0
-        best = shown.argmax(axis=1)
-        joins = np.take_along_axis(shown, best[:, None], axis=1)[:, 0] > LEAST
-        cut[ring[joins]] = nearby[joins, best[joins]] + count
-    charts[:] = cut
-    return cut >= count
+        axes = unit(sums_of(new_charts[is_new] - count, normals[is_new] * areas[is_new, None]))
+        ring_charts = np.where(neighbours[ring] >= 0, new_charts[neighbours[ring]], -1) - count
+        is_none, ring_charts = ring_charts < 0, np.maximum(ring_charts, 0)
+        cosines = np.einsum("mx,mkx->mk", normals[ring], axes[ring_charts])
+        cosines[is_none | (sizes[ring_charts] >= TINY)] = -1.0
+        best = cosines.argmax(axis=1)
+        joins = np.take_along_axis(cosines, best[:, None], axis=1)[:, 0] > LEAST
+        new_charts[ring[joins]] = ring_charts[joins, best[joins]] + count
+    charts[:] = new_charts
+    return new_charts >= count
 
 
-def _absorb(others: Int32s, areas: Float64s, charts: Int64s) -> None:
+def _absorb(neighbours: Int32s, areas: Float64s, charts: Int64s) -> None:
     """Merge tiny pieces of charts into the chart that they share most sides with."""
-    groups = connected(others, charts)
+    groups = connected(neighbours, charts)
     is_tiny = (np.bincount(groups, areas) < TINY)[groups]
-    nearby = charts[others]
-    triangles, sides = np.nonzero(is_tiny[:, None] & (others >= 0) & (nearby != charts[:, None]))
+    nearby = charts[neighbours]
+    triangles, sides = np.nonzero(is_tiny[:, None] & (neighbours >= 0) & (nearby != charts[:, None]))
     pairs, counts = np.unique(
         groups[triangles] * (int(charts.max()) + 1) + nearby[triangles, sides], return_counts=True
     )
-    one, two = np.divmod(pairs, int(charts.max()) + 1)
-    order = np.lexsort((two, -counts, one))
-    firsts = order[np.flatnonzero(np.diff(one[order], prepend=-1))]
-    chosen = np.full(int(groups.max()) + 1, -1)
-    chosen[one[firsts]] = two[firsts]
-    is_moved = chosen[groups] >= 0
-    charts[is_moved] = chosen[groups[is_moved]]
+    piece, chart = np.divmod(pairs, int(charts.max()) + 1)
+    order = np.lexsort((chart, -counts, piece))
+    firsts = order[np.flatnonzero(np.diff(piece[order], prepend=-1))]
+    target = np.full(int(groups.max()) + 1, -1)
+    target[piece[firsts]] = chart[firsts]
+    is_absorbed = target[groups] >= 0
+    charts[is_absorbed] = target[groups[is_absorbed]]
 
 
-def _pass_on(others: Int32s, normals: Float64s, axes: Float64s, chosen: Int64s, charts: Int64s) -> None:
+def _move_to_neighbours(
+    neighbours: Int32s, normals: Float64s, axes: Float64s, chosen: Int64s, charts: Int64s
+) -> None:
     """Move the triangles ``chosen``, of these normals, to the neighbour's chart that shows them best."""
-    nearby = charts[others[chosen]]
-    shown = np.einsum("mx,mkx->mk", normals, axes[nearby])
-    shown[others[chosen] < 0] = -1.0
-    best = shown.argmax(axis=1)
-    every = np.arange(chosen.size)
-    is_better = shown[every, best] > np.einsum("mx,mx->m", normals, axes[charts[chosen]])
-    charts[chosen[is_better]] = nearby[every, best][is_better]
+    nearby = charts[neighbours[chosen]]
+    cosines = np.einsum("mx,mkx->mk", normals, axes[nearby])
+    cosines[neighbours[chosen] < 0] = -1.0
+    best = cosines.argmax(axis=1)
+    rows = np.arange(chosen.size)
+    is_better = cosines[rows, best] > np.einsum("mx,mx->m", normals, axes[charts[chosen]])
+    charts[chosen[is_better]] = nearby[rows, best][is_better]
 
 
 def without_overlaps(mesh: ChartMesh, flat: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
     """Halve charts that overlap themselves until none does; at last separate their triangles."""
-    charts = connected(mesh.others, charts)
+    charts = connected(mesh.neighbours, charts)
     order = np.argsort(charts, kind="stable")
     starts = np.append(np.flatnonzero(np.diff(charts[order], prepend=-1)), charts.size)
-    doubted = [order[first:end] for first, end in pairwise(starts.tolist())]
-    count = len(doubted)
+    suspects = [order[first:end] for first, end in pairwise(starts.tolist())]
+    count = len(suspects)
     for n in range(_MOST_HALVED + 1):
-        doubted = [chart for chart in doubted if _overlaps(flat[chart])]
+        suspects = [chart for chart in suspects if _overlaps(flat[chart])]
         halves = []
-        for chart in doubted:
+        for chart in suspects:
             if n == _MOST_HALVED:
                 charts[chart[1:]] = count + np.arange(chart.size - 1)
                 count += chart.size - 1
                 flat[chart] = _projected(mesh.corners[chart], mesh.normals[chart])
                 continue
-            _farthest_last(mesh.others, charts, chart)
-            _farthest_last(mesh.others, charts, chart[::-1])
+            _farthest_last(mesh.neighbours, charts, chart)
+            _farthest_last(mesh.neighbours, charts, chart[::-1])
             half = chart.size // 2
             charts[chart[:half]] = count
             count += 1
             halves += [chart[:half], chart[half:]]
-        doubted = halves
+        suspects = halves
     return flat, charts
 
 
 def _overlaps(flat: Float64s) -> bool:
     """Return whether a chart's triangles (m, 3, 2) overlap."""
-    if len(flat) < 2 or (len(flat) <= _FEW and not _cross(flat)):
+    if len(flat) < 2 or (len(flat) <= _FEW and not _any_overlap(flat)):
         return False
     corners = flat - flat.min(axis=(0, 1))
     corners *= _PROBE / max(float(corners.max()), 1e-300)
     part = max(_OVERLAPPING, _OF_TRIANGLE / len(flat))
-    return bool(_twice(corners) > part * np.abs(doubled_areas(corners)).sum() / 2.0)
+    return bool(_covered_again(corners) > part * np.abs(doubled_areas(corners)).sum() / 2.0)
 
 
 @kernel
-def _twice(corners: Float64s) -> int:
+def _covered_again(corners: Float64s) -> int:
     """Return how many points of a grid triangles (m, 3, 2) cover again."""
     is_covered = np.zeros((_PROBE + 1, _PROBE + 1), np.bool_)
     count = 0
@@ -237,37 +235,37 @@ def _twice(corners: Float64s) -> int:
 
 
 @kernel
-def _cross(flat: Float64s) -> bool:
+def _any_overlap(flat: Float64s) -> bool:
     """Return whether any two triangles (m, 3, 2) overlap: no side of either separates them."""
     for one in range(len(flat)):
         for other in range(one):
-            if not (_parts(flat[one], flat[other]) or _parts(flat[other], flat[one])):
+            if not (_separates(flat[one], flat[other]) or _separates(flat[other], flat[one])):
                 return True
     return False
 
 
 @part
-def _parts(triangle: Float64s, other: Float64s) -> bool:
+def _separates(triangle: Float64s, other: Float64s) -> bool:
     """Return whether a side of ``triangle`` separates it from ``other``."""
     for side in range(3):
         start, end, last = triangle[side], triangle[(side + 1) % 3], triangle[(side + 2) % 3]
         right, down = end[0] - start[0], end[1] - start[1]
-        within = right * (last[1] - start[1]) - down * (last[0] - start[0])
-        sign, most = np.sign(within), -np.inf
+        inside = right * (last[1] - start[1]) - down * (last[0] - start[0])
+        sign, farthest = np.sign(inside), -np.inf
         for corner in range(3):
             across = right * (other[corner, 1] - start[1]) - down * (other[corner, 0] - start[0])
-            most = max(most, sign * across)
-        if most <= 1e-9 * abs(within):
+            farthest = max(farthest, sign * across)
+        if farthest <= 1e-9 * abs(inside):
             return True
     return False
 
 
 @kernel
-def _smooth(rows: Int64s, others: Int32s, near: Bools, rounds: int, positions: Float64s) -> None:
+def _smooth(rows: Int64s, neighbours: Int32s, near: Bools, rounds: int, positions: Float64s) -> None:
     """Move positions (n, 3 or 2) that are ``near`` toward their neighbours' means; borders stay."""
     for triangle in range(len(rows)):
         for side in range(3):
-            if others[triangle, side] < 0:
+            if neighbours[triangle, side] < 0:
                 near[rows[triangle, side]] = near[rows[triangle, (side + 1) % 3]] = False
     sums, counts = np.zeros_like(positions), np.zeros(len(positions))
     for _ in range(rounds):
@@ -288,13 +286,13 @@ def _smooth(rows: Int64s, others: Int32s, near: Bools, rounds: int, positions: F
                 counts[n] = sums[n, 0] = sums[n, 1] = sums[n, -1] = 0.0
 
 
-def connected(others: Int32s, charts: Int64s) -> Int64s:
+def connected(neighbours: Int32s, charts: Int64s) -> Int64s:
     """Return the connected piece of its chart that each triangle (m,) is in, from 0."""
-    return pieces_of(others, (others >= 0) & (charts[others] == charts[:, None]))
+    return pieces_of(neighbours, (neighbours >= 0) & (charts[neighbours] == charts[:, None]))
 
 
 @kernel
-def _farthest_last(others: Int32s, charts: Int64s, rows: Int64s) -> None:
+def _farthest_last(neighbours: Int32s, charts: Int64s, rows: Int64s) -> None:
     """Sort a chart's triangles by their number of steps from the first one."""
     chart, end = charts[rows[0]], 0
     for start in rows.copy():
@@ -305,10 +303,10 @@ def _farthest_last(others: Int32s, charts: Int64s, rows: Int64s) -> None:
         first, end = end, end + 1
         while first < end:
             for side in range(3):
-                other = others[rows[first], side]
-                if other >= 0 and charts[other] == chart:
-                    charts[other] = -1
-                    rows[end] = other
+                neighbour = neighbours[rows[first], side]
+                if neighbour >= 0 and charts[neighbour] == chart:
+                    charts[neighbour] = -1
+                    rows[end] = neighbour
                     end += 1
             first += 1
     charts[rows] = chart
@@ -316,7 +314,7 @@ def _farthest_last(others: Int32s, charts: Int64s, rows: Int64s) -> None:
 
 @kernel
 def grow(
-    others: Int32s, facings: Float64s, areas: Float64s, order: Int64s, least: float, count: int,
+    neighbours: Int32s, facings: Float64s, areas: Float64s, order: Int64s, least: float, count: int,
     charts: Int64s,
 ) -> int:  # fmt: skip
     """Grow charts from triangles in order, nearest first, over triangles that face like the chart's mean."""
@@ -336,13 +334,13 @@ def grow(
             z += areas[triangle] * facings[triangle, 2]
             length = least * np.sqrt(x * x + y * y + z * z)
             for side in range(3):
-                other = others[triangle, side]
-                if other < 0 or charts[other] >= 0:
+                neighbour = neighbours[triangle, side]
+                if neighbour < 0 or charts[neighbour] >= 0:
                     continue
-                along = x * facings[other, 0] + y * facings[other, 1] + z * facings[other, 2]
-                if along >= length or areas[other] == 0.0:
-                    charts[other] = count
-                    queue[end] = other
+                along = x * facings[neighbour, 0] + y * facings[neighbour, 1] + z * facings[neighbour, 2]
+                if along >= length or areas[neighbour] == 0.0:
+                    charts[neighbour] = count
+                    queue[end] = neighbour
                     end += 1
         count += 1
     return count

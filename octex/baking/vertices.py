@@ -50,9 +50,9 @@ class _Points(NamedTuple):
 
     def with_middles(self, ends: Int64s, texture: OctreeTexture) -> _Points:
         """Return these points, followed by the midpoints of edges (k, 2)."""
-        made = [_mixed(each, ends, _MIDDLE) for each in self[:4]]
+        middles = [_mixed(each, ends, _MIDDLE) for each in self[:4]]
         numbers = welded(in_order(self.positions[ends])) + int(self.positions.max()) + 1
-        added = (*made, self.between(ends, texture, _MIDDLE), numbers)
+        added = (*middles, self.between(ends, texture, _MIDDLE), numbers)
         return _Points._make(np.concatenate([a, b]) for a, b in zip(self, added, strict=True))
 
 
@@ -94,7 +94,7 @@ def bake_vertices(
     points, triangles = _undivided(texture, surface)
     cell = cell_of(texture)
     shortest = _FINEST * cell
-    first = 0  # the first place of the last round: only edges with a newer end can still be halved
+    first = 0  # position of the last round: only edges with an end from there on can still be halved
     settled = np.empty((0, 3), np.int64)
     for _ in range(0 if subdivide is None else _MOST_ROUNDS):
         edges, sides = edges_of(triangles)
@@ -105,29 +105,30 @@ def bake_vertices(
         else:
             halved = is_new & (lengths > shortest)
             halved[halved] = _is_off(points, edges[halved], texture, error, [_MIDDLE])
-            wide = lengths > cell
-            left = is_new & wide & ~halved
-            halved[left] = _is_off(points, edges[left], texture, error, _ON_EDGES)
-            inside = _any(wide[sides]) & _any(~halved[sides])
-            inside[inside] = _is_off(points, triangles[inside], texture, error, _ON_TRIANGLES)
-            chosen = sides[inside].reshape(-1)
+            is_wide = lengths > cell
+            unhalved = is_new & is_wide & ~halved
+            halved[unhalved] = _is_off(points, edges[unhalved], texture, error, _ON_EDGES)
+            differs = _any(is_wide[sides]) & _any(~halved[sides])
+            differs[differs] = _is_off(points, triangles[differs], texture, error, _ON_TRIANGLES)
+            chosen = sides[differs].reshape(-1)
             halved[chosen] |= lengths[chosen] > shortest
-        positions = in_order(points.positions[edges[halved]])
+        halved_positions = in_order(points.positions[edges[halved]])
         if longest is None:
-            positions = _with_longest(positions, [triangles, settled], points)
-        near = _have_two(settled, points.positions, positions[positions[:, 1] < first])
-        ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.positions, positions)
+            halved_positions = _with_longest(halved_positions, [triangles, settled], points)
+        is_near = _have_two(settled, points.positions, halved_positions[halved_positions[:, 1] < first])
+        candidates = np.concatenate([triangles, settled[is_near]])
+        new_edges, cut, uncut = _cut_at(candidates, points.positions, halved_positions)
         is_too_many = len(triangles) + len(settled) + int((cut[1] >= 0).sum()) > most
-        if len(ends) and is_too_many and longest is not None:
+        if len(new_edges) and is_too_many and longest is not None:
             raise ArgumentError(
                 f"edges no longer than {longest:g} make more than {most:,} triangles; edges of up to "
                 f"{lengths.max():g} make {len(triangles) + len(settled):,}; allow longer edges"
             )
-        if not len(ends) or is_too_many:
+        if not len(new_edges) or is_too_many:
             break
         first = int(points.positions.max()) + 1
-        points = points.with_middles(ends, texture)
-        settled = np.concatenate([settled[~near], others])
+        points = points.with_middles(new_edges, texture)
+        settled = np.concatenate([settled[~is_near], uncut])
         triangles = _divided(*cut, points.rest)
     triangles = np.concatenate([settled, triangles])
     faces = triangles.astype(np.int32)
@@ -169,11 +170,11 @@ def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_Points, Int64
 
 def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float32s:
     names = [name for name in (BASE_COLOR.name, ALPHA.name) if name in texture.channels]
-    found = texture.sample(rest, names, normals=normals)
+    samples = texture.sample(rest, names, normals=normals)
     colors = np.ones((len(rest), 4), np.float32)
-    colors[:, :3] = found[BASE_COLOR.name]
-    if ALPHA.name in found:
-        colors[:, 3:] = found[ALPHA.name]
+    colors[:, :3] = samples[BASE_COLOR.name]
+    if ALPHA.name in samples:
+        colors[:, 3:] = samples[ALPHA.name]
     return np.clip(colors, 0.0, 1.0)
 
 
@@ -181,13 +182,13 @@ def _is_off(
     points: _Points, ends: Int64s, texture: OctreeTexture, error: float, positions: Sequence[Sequence[float]]
 ) -> Bools:
     """Return the edges or triangles (k, 2 or 3) whose interpolated colours are off by more than an error."""
-    found = np.zeros(len(ends), np.bool_)
+    is_off = np.zeros(len(ends), np.bool_)
     for shares in positions:
-        left = np.flatnonzero(~found)
-        exact = points.between(ends[left], texture, shares)
-        mixed = _mixed(points.colors, ends[left], shares)
-        found[left] = _any(np.abs(_codes(exact) - _codes(mixed)) > 65535.0 * error)
-    return found
+        rows = np.flatnonzero(~is_off)
+        exact = points.between(ends[rows], texture, shares)
+        mixed = _mixed(points.colors, ends[rows], shares)
+        is_off[rows] = _any(np.abs(_codes(exact) - _codes(mixed)) > 65535.0 * error)
+    return is_off
 
 
 def _mixed(values: Array, ends: Int64s, shares: Sequence[float]) -> Float64s:
@@ -203,19 +204,19 @@ def _codes(colors: Floats) -> Int32s:
 
 
 def _with_longest(halved: Int64s, triangles: Sequence[Int64s], points: _Points) -> Int64s:
-    """Add to ``halved`` edges (k, 2), between positions, the sides that are too long beside them."""
-    added = halved
-    while len(added):
-        near = [each[_have_two(each, points.positions, added)] for each in triangles]
-        corners = np.concatenate(near)
+    """Add the longest sides of triangles that get too thin to ``halved`` edges (k, 2), between positions."""
+    new_edges = halved
+    while len(new_edges):
+        touched = [each[_have_two(each, points.positions, new_edges)] for each in triangles]
+        corners = np.concatenate(touched)
         ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)
         lengths = np.linalg.norm(points.rest[ends[:, 0]] - points.rest[ends[:, 1]], axis=1).reshape(-1, 3)
         sides = in_order(points.positions[ends])
         is_halved = np.isin(_keys(sides), _keys(halved)).reshape(-1, 3)
         is_long = _any(is_halved) & (lengths.max(axis=1) > _THIN * (lengths * is_halved).max(axis=1))
         rows = np.flatnonzero(is_long)
-        added = np.unique(sides[3 * rows + lengths[rows].argmax(axis=1)], axis=0)
-        halved = np.concatenate([halved, added])
+        new_edges = np.unique(sides[3 * rows + lengths[rows].argmax(axis=1)], axis=0)
+        halved = np.concatenate([halved, new_edges])
     return halved
 
 
@@ -231,8 +232,8 @@ def _cut_at(
 
     The cut ones (m, 3) come with the vertices at the midpoints of their sides (m, 3), −1 for none.
     """
-    near = _have_two(triangles, positions, halved)
-    touched = triangles[near]
+    is_near = _have_two(triangles, positions, halved)
+    touched = triangles[is_near]
     edges, sides = edges_of(touched)
     ordered = in_order(positions[edges])
     is_cut = np.isin(_keys(ordered), _keys(halved))
@@ -241,7 +242,7 @@ def _cut_at(
     middles = numbers[sides]
     divided = _any(middles >= 0)
     cut = touched[divided], middles[divided]
-    return edges[is_cut], cut, np.concatenate([triangles[~near], touched[~divided]])
+    return edges[is_cut], cut, np.concatenate([triangles[~is_near], touched[~divided]])
 
 
 def _have_two(triangles: Int64s, positions: Int64s, ends: Int64s) -> Bools:
@@ -262,25 +263,25 @@ def _any(flags: Bools) -> Bools:
 def _divided(triangles: Int64s, middles: Int64s, rest: Float64s) -> Int64s:
     """Divide triangles (m, 3) at the midpoints of their sides (m, 3), −1 for none, in two, three or four."""
     counts = (middles >= 0).sum(axis=1)
-    made = [triangles[counts == 0]]
+    parts = [triangles[counts == 0]]
     # Rotated so that halved sides come first: one, two consecutive ones, or all.
     first = np.where(counts == 1, np.argmax(middles >= 0, axis=1), 0)
     first = np.where(counts == 2, (np.argmax(middles < 0, axis=1) + 1) % 3, first)
     turns = (first[:, None] + np.arange(3)) % 3
     turned = np.take_along_axis(triangles, turns, axis=1)
     (a, b, c), (p, q, r) = turned.T, np.take_along_axis(middles, turns, axis=1).T
-    one, two, three = (counts == count for count in (1, 2, 3))
-    made += [_faces(a, p, c)[one], _faces(p, b, c)[one]]
-    made += [_faces(*each)[three] for each in ((a, p, r), (p, b, q), (r, q, c), (p, q, r))]
-    made.append(_faces(p, b, q)[two])
+    halved_once, halved_twice, halved_thrice = (counts == count for count in (1, 2, 3))
+    parts += [_faces(a, p, c)[halved_once], _faces(p, b, c)[halved_once]]
+    parts += [_faces(*each)[halved_thrice] for each in ((a, p, r), (p, b, q), (r, q, c), (p, q, r))]
+    parts.append(_faces(p, b, q)[halved_twice])
     # The remaining quad a, p, q, c is cut along its shorter diagonal.
-    quads = np.flatnonzero(two)
+    quads = np.flatnonzero(halved_twice)
     short = np.linalg.norm(rest[a[quads]] - rest[q[quads]], axis=1) < np.linalg.norm(
         rest[p[quads]] - rest[c[quads]], axis=1
     )
-    made += [_faces(a, p, q)[quads[short]], _faces(a, q, c)[quads[short]]]
-    made += [_faces(a, p, c)[quads[~short]], _faces(p, q, c)[quads[~short]]]
-    return np.concatenate(made)
+    parts += [_faces(a, p, q)[quads[short]], _faces(a, q, c)[quads[short]]]
+    parts += [_faces(a, p, c)[quads[~short]], _faces(p, q, c)[quads[~short]]]
+    return np.concatenate(parts)
 
 
 def _faces(a: Int64s, b: Int64s, c: Int64s) -> Int64s:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
-from octex.cli.common import Reporter, check_outputs, tell_file
-from octex.cli.inputs import kind_of, open_texture, refuse, shaped_model, told_repair
+from octex.cli.common import Reporter, check_outputs, report_file
+from octex.cli.inputs import kind_of, open_texture, refuse, repair_facts, shaped_model
 from octex.cli.options import RUNNING, SHAPE
 from octex.cli.parser import Options, arguments
 from octex.cli.values import BAKED_ENDINGS, PTEX_ENDING, USD_ENDINGS
@@ -61,6 +60,7 @@ def bake(options: Options, program: str) -> int:
         check_simplifier()
     from octex.baking.finish import own_texture
     from octex.formats.models import check_written, materials_of
+    from octex.gltf import Document
 
     check_written(options.OUTPUT, images)
     with Reporter(program, options.quiet) as progress:
@@ -68,7 +68,7 @@ def bake(options: Options, program: str) -> int:
             texture = None if options.TEXTURE is None else open_texture(options.TEXTURE)
             cell = None if texture is None else texture.placement.size / 2.0**texture.tree.max_depth
             surface = shaped_model(options.MODEL, options, cell, normals=True)
-            made, lines = told_repair(surface)
+            facts, lines = repair_facts(surface)
             original = None if options.original is None else octex.load_surface(options.original)
         if texture is None:
             path, source = options.original or options.MODEL, original or surface
@@ -100,13 +100,13 @@ def bake(options: Options, program: str) -> int:
                 **arguments(options, "texture_size", "padding", "channels", "supersample", "max_distance"),
             )
         with progress.stage("write"):
-            carried = {"unit": options.unit, "octree": texture if options.octree else None}
-            written = octex.write_model(baked, options.OUTPUT, images=images, **carried)
+            extras = {"unit": options.unit, "octree": texture if options.octree else None}
+            written = octex.write_model(baked, options.OUTPUT, images=images, **extras)
     materials = materials_of(baked).materials
-    read = [(name, each.texture) for material in materials for name, each in material.inputs.items()]
-    size = max((texture.texels.shape[1] for _, texture in read if texture is not None), default=0)
+    textures = [(name, each.texture) for material in materials for name, each in material.inputs.items()]
+    size = max((texture.texels.shape[1] for _, texture in textures if texture is not None), default=0)
     names = [form.name for form in baked.channels]
-    made |= {
+    facts |= {
         "channels": names,
         "triangles": len(baked.triangles),
         "vertices": len(baked.vertices),
@@ -114,27 +114,20 @@ def bake(options: Options, program: str) -> int:
         "bytes": sum(path.stat().st_size for path in written.files),
         "image_bytes": written.image_bytes,
     }
-    what = [f"{', '.join(names)} at {len(baked.vertices):,} vertices"]
+    description = [f"{', '.join(names)} at {len(baked.vertices):,} vertices"]
     if not at_vertices:
-        mapped = dict.fromkeys(name for name, texture in read if texture is not None)
+        mapped = dict.fromkeys(name for name, texture in textures if texture is not None)
         constant = [name for name in names if name not in mapped]
-        what = [f"{', '.join(constant)} constant"] if constant else []
-        what += [f"{', '.join(mapped)} in maps of {size} × {size}"] if mapped else []
-    if _is_animated(options.MODEL):
-        kept = "" if at_vertices else "; --uv keep bakes images for the original model"
-        lines.append(f"its animations are not written{kept}")
+        description = [f"{', '.join(constant)} constant"] if constant else []
+        description += [f"{', '.join(mapped)} in maps of {size} × {size}"] if mapped else []
+    if options.MODEL.suffix.lower() in _GLTF and Document(options.MODEL).json.get("animations"):
+        hint = "" if at_vertices else "; --uv keep bakes images for the original model"
+        lines.append(f"its animations are not written{hint}")
     if images == "png" and written.image_bytes > _LARGE:
         webp = "" if ending in USD_ENDINGS else "webp is smaller and lossless, "
-        taken = f"its images take {bytes_text(written.image_bytes)}"
-        lines.append(f"{taken}: --image-format {webp}jpeg is far smaller and lossy")
-    return tell_file(options, "; ".join(what), made, *lines)
-
-
-def _is_animated(model: Path) -> bool:
-    """Return whether a model has animations."""
-    from octex.gltf import Document
-
-    return model.suffix.lower() in _GLTF and bool(Document(model).json.get("animations"))
+        size_text = f"its images take {bytes_text(written.image_bytes)}"
+        lines.append(f"{size_text}: --image-format {webp}jpeg is far smaller and lossy")
+    return report_file(options, "; ".join(description), facts, *lines)
 
 
 def _write_ptex(options: Options, program: str) -> int:
@@ -148,5 +141,5 @@ def _write_ptex(options: Options, program: str) -> int:
     from octex.formats.ptex.reader import PtexFile
 
     with PtexFile(options.OUTPUT) as file:
-        made = {"faces": file.n_faces, "texels": int(file.faces.counts.sum())}
-    return tell_file(options, f"{made['texels']:,} texels on {made['faces']:,} faces", made)
+        facts = {"faces": file.n_faces, "texels": int(file.faces.counts.sum())}
+    return report_file(options, f"{facts['texels']:,} texels on {facts['faces']:,} faces", facts)

@@ -55,14 +55,14 @@ class _TerminatedError(KeyboardInterrupt):
 @contextmanager
 def _ended_by_signals() -> Iterator[None]:
     """Turn the first SIGINT or SIGTERM into an exception; the second ends the process."""
-    told = False
+    is_ending = False
 
     def end(number: int, _frame: FrameType | None) -> NoReturn:
-        nonlocal told
-        if told:
+        nonlocal is_ending
+        if is_ending:
             undo_all()
             os._exit(128 + number)
-        told = True
+        is_ending = True
         raise _TerminatedError if number == signal.SIGTERM else KeyboardInterrupt
 
     replaced = {}
@@ -74,7 +74,7 @@ def _ended_by_signals() -> Iterator[None]:
     try:
         yield
     finally:
-        if told:
+        if is_ending:
             undo_all()
         for number, usual in replaced.items():
             signal.signal(number, usual)
@@ -136,36 +136,37 @@ def _write(stdout: TextIO | None, text: str) -> None:
             raise OutputError(f"standard output cannot be written: {error.strerror or error}") from error
 
 
-def answer(options: SimpleNamespace, made: Mapping[str, Any], lines: Iterable[str]) -> None:
-    """Print what the command was asked for: with --json as a JSON object, else as lines."""
-    say(json.dumps(made) if options.json else "\n".join(lines))
+def print_result(options: SimpleNamespace, facts: Mapping[str, Any], lines: Iterable[str]) -> None:
+    """Print a result: with --json as a JSON object, else as lines."""
+    say(json.dumps(facts) if options.json else "\n".join(lines))
 
 
-def tell(options: SimpleNamespace, made: Mapping[str, Any], *lines: str) -> None:
-    """Print what was done: with --json as a JSON object, with --quiet nothing, else as lines."""
+def report(options: SimpleNamespace, facts: Mapping[str, Any], *lines: str) -> None:
+    """Print a report of written files: with --json as a JSON object, with --quiet nothing, else as lines."""
     if options.json or not options.quiet:
-        answer(options, made, lines)
+        print_result(options, facts, lines)
 
 
-def tell_file(
+def report_file(
     options: SimpleNamespace,
     text: str,
-    made: Mapping[str, Any],
+    details: Mapping[str, Any],
     *lines: str,
     others: Mapping[str, tuple[Path | None, str]] | None = None,
     path: Path | None = None,
 ) -> ExitCode:
-    """Report the written OUTPUT, or ``path``: ``text`` or ``made`` describe it, with its size and time.
+    """Report the written OUTPUT, or ``path``: ``text`` or ``details`` describe it, with its size and time.
 
     ``others`` are further files by their names in JSON, each with a description; None is left out.
     """
     path, seconds = path or options.OUTPUT, time.perf_counter() - options.began
     size = path.stat().st_size
     written = {name: other for name, other in (others or {}).items() if other[0] is not None}
-    facts = {"output": str(path), "bytes": size, **made, "seconds": round(seconds, 3)}
+    facts = {"output": str(path), "bytes": size, **details, "seconds": round(seconds, 3)}
     facts |= {name: str(file) for name, (file, _) in written.items()}
-    first = ", ".join([*filter(None, [text]), bytes_text(facts["bytes"]), f"{seconds:.1f} s"])
-    tell(options, facts, f"{path}: {first}", *(f"{file}: {what}" for file, what in written.values()), *lines)
+    first = ", ".join([*filter(None, [text]), bytes_text(size), f"{seconds:.1f} s"])
+    files = [f"{file}: {description}" for file, description in written.values()]
+    report(options, facts, f"{path}: {first}", *files, *lines)
     return ExitCode.DONE
 
 
@@ -173,10 +174,10 @@ def facts_of(texture: OctreeTexture) -> tuple[str, dict[str, Any]]:
     """Return the facts of a texture as text and for JSON."""
     tree = texture.tree
     cell = texture.placement.size / 2**tree.max_depth
-    made = {"leaves": tree.n_leaves, "nodes": tree.n_nodes, "depth": tree.max_depth, "cell": cell}
+    facts = {"leaves": tree.n_leaves, "nodes": tree.n_nodes, "depth": tree.max_depth, "cell": cell}
     return (
         f"{count_text(tree.n_leaves, 'leaf', 'leaves')}, depth {tree.max_depth} (cells of {cell:.4g})",
-        made,
+        facts,
     )
 
 

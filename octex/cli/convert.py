@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import ahead
-from octex.cli.common import Reporter, check_folder, check_outputs, facts_of, tell_file
-from octex.cli.inputs import check_model, kind_of, open_texture, read_model, refuse, tell_layers, told_repair
+from octex.cli.common import Reporter, check_folder, check_outputs, facts_of, report_file
+from octex.cli.inputs import check_model, kind_of, note_layers, open_texture, read_model, refuse, repair_facts
 from octex.cli.options import RUNNING
 from octex.cli.parser import Options, arguments
 from octex.cli.values import (
@@ -126,25 +126,25 @@ def _convert(options: Options, program: str) -> int:
                 octex.write_preview(options.preview, texture, surface)
         if options.memory is None:
             write_texture(texture, output, progress)
-    text, made = facts_of(texture)
+    text, facts = facts_of(texture)
     lines: list[str] = []
     empty = 0 if surface is None else json.loads(texture.metadata["convert"]).get("empty", 0)
     if empty:
-        made["empty"] = empty
+        facts["empty"] = empty
         # With leaves of several sizes, the number of finest cells says little.
         is_even = options.max_error is None and options.detail is None
         share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
         faces = " with the same facing" if "max_angle" in options.within else ""
         lines.append(f"{empty:,} finest cells{share} stay empty: no source is near enough{faces}")
-    repaired, repair_lines = told_repair(surface)
-    made |= repaired
+    repair, repair_lines = repair_facts(surface)
+    facts |= repair
     lines += repair_lines
     if overlaps is not None:
         separation = json.loads(texture.metadata.get("separation", '{"moved": {}}'))
-        made["separated"] = {**overlaps_as_json(overlaps), "moved": separation["moved"]}
+        facts["separated"] = {**overlaps_as_json(overlaps), "moved": separation["moved"]}
         lines += _separated_text(separation["moved"], overlaps)
     others = {"preview": (options.preview, "an image of it")}
-    return tell_file(options, text, made, *lines, others=others)
+    return report_file(options, text, facts, *lines, others=others)
 
 
 def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: int = 0) -> None:
@@ -199,14 +199,14 @@ def _convert_parts(options: Options, program: str) -> int:
         with progress.stage("read"):
             surface = read_model(options.INPUT, options)
         settings = arguments(options, *_SETTINGS)
-        made = octex.convert_set(surface, **settings, fit=not options.no_fit, progress=progress)
+        textures = octex.convert_set(surface, **settings, fit=not options.no_fit, progress=progress)
         with progress.stage("write"):
-            made.save(folder)
-    leaves = sum(texture.tree.n_leaves for texture in made.values())
-    repaired, repair_lines = told_repair(surface)
-    facts = {"parts": len(made), "leaves": leaves, "bytes": made.info()["bytes"], **repaired}
-    text = f"{count_text(len(made), 'part')}, {count_text(leaves, 'leaf', 'leaves')}"
-    return tell_file(options, text, facts, *repair_lines)
+            textures.save(folder)
+    leaves = sum(texture.tree.n_leaves for texture in textures.values())
+    repair, repair_lines = repair_facts(surface)
+    facts = {"parts": len(textures), "leaves": leaves, "bytes": textures.info()["bytes"], **repair}
+    text = f"{count_text(len(textures), 'part')}, {count_text(leaves, 'leaf', 'leaves')}"
+    return report_file(options, text, facts, *repair_lines)
 
 
 def _check_folder(folder: Path, *, force: bool) -> None:
@@ -231,14 +231,14 @@ def edit(options: Options, program: str) -> int:
     with Reporter(program, options.quiet) as progress:
         texture = _edited(options, progress)
         write_texture(texture, options.OUTPUT, progress, options.loss)
-    return tell_file(options, *facts_of(texture))
+    return report_file(options, *facts_of(texture))
 
 
 def _edited(options: Options, progress: Reporter) -> OctreeTexture:
     from octex.processing.edit import with_operation
 
     texture = open_texture(options.TEXTURE)
-    tell_layers(texture, options.TEXTURE, progress.note)
+    note_layers(texture, options.TEXTURE, progress.note)
     if options.channels is not None:
         from octex.checks import as_choice
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import ahead
-from octex.cli.common import Reporter, check_outputs, tell_file
+from octex.cli.common import Reporter, check_outputs, report_file
 from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model
 from octex.cli.options import DEFAULT_CHANNEL
 from octex.cli.parser import Options
@@ -43,8 +43,8 @@ def draw(options: Options, program: str) -> int:
         "layer": (options.empty_layer, "an empty layer of its size"),
         "camera": (options.camera_out, "its camera"),
     }
-    made = {"size": [width, height]}
-    return tell_file(options, f"{width}×{height} pixels", made, others=others)
+    facts = {"size": [width, height]}
+    return report_file(options, f"{width}×{height} pixels", facts, others=others)
 
 
 def _check(options: Options, kind: str) -> None:

@@ -75,10 +75,10 @@ def open_texture(path: Path | Address) -> OctreeTexture:
     return texture
 
 
-def tell_layers(texture: OctreeTexture, path: Path | Address, tell_note: Callable[[str], None]) -> None:
+def note_layers(texture: OctreeTexture, path: Path | Address, note: Callable[[str], None]) -> None:
     """Note that the layers in a texture do not change when the texture is edited."""
     if "layers" in texture.metadata:
-        tell_note(f"{path} has layers: the edit changes the visible texture, not its layers")
+        note(f"{path} has layers: the edit changes the visible texture, not its layers")
 
 
 def only(texture: OctreeTexture, channel: str) -> OctreeTexture:
@@ -107,7 +107,7 @@ def shaped_model(path: Path, options: Options, cell: float | None = None, **sett
     return octex.subdivide(surface, levels, rest=rest)
 
 
-def told_repair(surface: Surface | None) -> tuple[dict[str, Any], list[str]]:
+def repair_facts(surface: Surface | None) -> tuple[dict[str, Any], list[str]]:
     """Return the changes of --repair, for JSON and as a line; empty without it."""
     from octex.cleaning.repair import REPAIR, Repairs
 
@@ -146,25 +146,25 @@ def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surfa
         if isinstance(source, FunctionName):
             sources[channel] = load_function(source)
     names = _read_channels(options)
-    every = [_read(each, options, sources, None if extra else names) for each in [path, *options.also]]
-    surface = octex.Surface.joined(every) if options.also else every[0]
+    surfaces = [_read(each, options, sources, None if extra else names) for each in [path, *options.also]]
+    surface = octex.Surface.joined(surfaces) if options.also else surfaces[0]
     if names is None or not extra:
         return surface
-    more = [form.name for form in surface.channels if form.name in extra and form.name not in names]
-    return surface.with_channels([*names, *more])
+    extra_names = [form.name for form in surface.channels if form.name in extra and form.name not in names]
+    return surface.with_channels([*names, *extra_names])
 
 
-def _read(path: Path, options: Options, sources: dict[str, Any], wanted: Sequence[str] | None) -> Surface:
+def _read(path: Path, options: Options, sources: dict[str, Any], names: Sequence[str] | None) -> Surface:
     named = function_name(str(path))
     if path.suffix == ".py":
         raise ArgumentError(f"{path}: name the function in it, like {path}:NAME")
     if named is None:
-        return shaped_model(path, options, channels=wanted, sources=sources, filter=options.filter)
+        return shaped_model(path, options, channels=names, sources=sources, filter=options.filter)
     if options.grid is None:
         raise ArgumentError(f"{path} is a function: give --grid x0,y0,z0,x1,y1,z1,EDGE too")
     bounds = [options.grid[:3], options.grid[3:6]]
     surface = octex.Surface.from_function(load_function(named), bounds, options.grid[6], name=named.path.name)
-    return surface.completed(sources, wanted, options.filter)
+    return surface.completed(sources, names, options.filter)
 
 
 def _read_channels(options: Options) -> list[str] | None:

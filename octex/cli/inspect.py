@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import SECTIONS, ahead, compile_listed
-from octex.cli.common import Reporter, answer, say, tell
+from octex.cli.common import Reporter, print_result, report, say
 from octex.cli.convert import INDEX, overlaps_as_json
 from octex.cli.inputs import check_model, check_texture, is_texture, open_texture, read_model, refuse
 from octex.cli.parser import Options
@@ -29,7 +29,7 @@ def info(options: Options, _program: str) -> int:
     """Run octex info."""
     information = _opened(options.TEXTURE).info()
     lines = _set_text if "parts" in information else _texture_text
-    answer(options, information, lines(information))
+    print_result(options, information, lines(information))
     return ExitCode.DONE
 
 
@@ -49,7 +49,7 @@ def validate(options: Options, _program: str) -> int:
     except TextureFileError as error:
         broken = str(error)
     facts = {"file": str(path), "valid": broken is None, "broken": broken}
-    tell(options, facts, broken or "valid")
+    report(options, facts, broken or "valid")
     return ExitCode.DONE if broken is None else ExitCode.INVALID
 
 
@@ -62,7 +62,7 @@ def overlaps(options: Options, program: str) -> int:
         with progress.stage("compare"):
             pairs = surface.overlapping_parts(options.margin)
     facts = {"model": str(path), "margin": pairs.margin, **overlaps_as_json(pairs)}
-    answer(options, facts, [f"{path}: {pairs}"])
+    print_result(options, facts, [f"{path}: {pairs}"])
     return ExitCode.DONE
 
 
@@ -96,7 +96,7 @@ def diff(options: Options, program: str) -> int:
         "areas": dict(zip("ab", differences.areas, strict=True)),
         "uncovered": dict(zip("ab", differences.uncovered, strict=True)),
     }
-    answer(options, facts, _readable(paths, (texture, other), differences))
+    print_result(options, facts, _readable(paths, (texture, other), differences))
     return ExitCode.DONE
 
 

@@ -12,7 +12,7 @@ from importlib import import_module
 import octex
 from octex.cli.common import limited, run, say
 from octex.cli.options import COMMANDS
-from octex.cli.parser import Command, Parser
+from octex.cli.parser import Parser
 from octex.docs import TOPICS, topic
 from octex.errors import ArgumentError, ExitCode
 
@@ -44,15 +44,12 @@ def _run(name: str, rest: Sequence[str], program: str) -> int:
         try:
             code: int = getattr(module, name.replace("-", "_"))(options, program)
         except ArgumentError as error:
-            raise ArgumentError(_by_option(str(error), COMMANDS[name])) from error
+            parameter, must, limits = str(error).partition(" must ")
+            option = f"--{parameter.replace('_', '-')}"
+            if not must or not COMMANDS[name].has(option):
+                raise
+            raise ArgumentError(f"{option}{must}{limits}") from error
     return code
-
-
-def _by_option(message: str, command: Command) -> str:
-    """Replace a library parameter in a message by the option's name."""
-    name, must, rest = message.partition(" must ")
-    word = f"--{name.replace('_', '-')}"
-    return f"{word}{must}{rest}" if must and command.has(word) else message
 
 
 def _answer(first: str, rest: Sequence[str]) -> int:
@@ -67,8 +64,8 @@ def _answer(first: str, rest: Sequence[str]) -> int:
             else:
                 say(topic(name))
     else:
-        near = get_close_matches(first, _NAMES, 1)
-        fault = f"{first!r} is not a command{f', do you mean {near[0]!r}' if near else ''}"
+        similar = get_close_matches(first, _NAMES, 1)
+        fault = f"{first!r} is not a command{f', do you mean {similar[0]!r}' if similar else ''}"
         if not first or first.startswith("-"):
             fault = f"{first} stands before the command" if first else "a command is missing"
         raise ArgumentError(f"{fault}: the commands are {', '.join(_NAMES)}; see {PROGRAM} --help")

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import ahead
-from octex.cli.common import Reporter, check_outputs, facts_of, fail, identity, tell_file
-from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model, tell_layers
+from octex.cli.common import Reporter, check_outputs, facts_of, fail, identity, report_file
+from octex.cli.inputs import bare_model, is_texture, note_layers, only, open_texture, refuse, shaped_model
 from octex.cli.options import DEFAULT_CHANNEL, RUNNING, SHAPE
 from octex.cli.parser import Options, arguments
 from octex.cli.shots import NOTHING, Shot, flat_shots, images_of, shots_of
@@ -22,8 +22,6 @@ from octex.files import open_file
 from octex.parallel import Run, usual_memory, workers
 
 if TYPE_CHECKING:
-    from octex.arrays import Float64s
-    from octex.painting.unwrap import Patch
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
@@ -97,7 +95,7 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
         if texture is None:
             progress.note("there is no texture yet: painting begins a new one")
         else:
-            tell_layers(texture, options.TEXTURE, progress.note)
+            note_layers(texture, options.TEXTURE, progress.note)
         with progress.stage("read"):
             if options.preview is None:
                 surface = whole = bare_model(options.MODEL, options)
@@ -123,40 +121,43 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
                 shots = _refined(options, surface, shots, stored)
             if has_layers:
                 layers = [open_texture(path) for path in options.IMAGE]
-                made = _merged(options, surface, texture, layers, run)
+                painted = _merged(options, surface, texture, layers, run)
             else:
-                made, layers = _painted(options, surface, texture, shots, stored, progress)
-        if made is None or options.opacity == 0:
+                painted, layers = _painted(options, surface, texture, shots, stored, progress)
+        if painted is None or options.opacity == 0:
             compares = any(shot.image.since is not None for shot in shots)
             return _nothing_painted(options, program, compares)
         channel = next((name for name in layers[0].channels if name != "alpha"), "alpha")
         entries = _entries(options, [shot.path for shot in shots] or options.IMAGE, channel)
-        made = _with_entries(made, surface, entries)
+        painted = _with_entries(painted, surface, entries)
         if options.preview is not None:  # first: if the disk is full, no OUTPUT exists without a report
             with progress.stage("draw"):
                 view: dict[str, Any] = {}
                 if options.unwrap is not None:
-                    view = {"direction": _direction_to(whole, patch)}
+                    from octex.view.shading import face_normals
+
+                    normals, areas = face_normals(whole.vertices, whole.triangles[patch.triangles])
+                    view = {"direction": areas @ normals}
                 elif shots:
                     from octex.drawing import viewpoint_among
 
                     cameras: Any = [shot.image.camera for shot in shots]
                     seen = viewpoint_among(cameras)
                     view = {"direction": seen.direction, "up": seen.up}
-                _draw(options, made, whole, channel, view)
+                _draw(options, painted, whole, channel, view)
         with progress.stage("write"):
             if options.layer_out is not None:
                 _with_entries(layers[0], surface, entries).save(options.layer_out)
-            made.save(options.OUTPUT)
+            painted.save(options.OUTPUT)
     names = [str(entry["image"]) for entry in entries]
     kind = f"{'layer' if has_layers else 'image'}{'s' if len(names) > 1 else ''}"
-    text, facts = facts_of(made)
+    text, facts = facts_of(painted)
     facts |= {"painted": names, "skipped": skipped}
     others = {
         "layer": (options.layer_out, "the paint alone"),
         "preview": (options.preview, "an image of it"),
     }
-    return tell_file(options, f"{len(names):,} {kind} painted, {text}", facts, others=others)
+    return report_file(options, f"{len(names):,} {kind} painted, {text}", facts, others=others)
 
 
 def _fitting(
@@ -215,7 +216,7 @@ def _painted(
     )
     images = [replace(shot.image, opacity=options.opacity) for shot in shots]
     layers: list[OctreeTexture] = []
-    made = painted_by(
+    painted = painted_by(
         texture, surface, images, settings, run, _holes(options), coverage=options.coverage, layers=layers
     )
     count = sum(layer.tree.n_leaves for layer in layers)
@@ -224,7 +225,7 @@ def _painted(
             f"the paint has {count:,} leaves, the texture {texture.tree.n_leaves:,}; "
             f"--max-depth {texture.tree.max_depth} paints with cells as small as the texture's"
         )
-    return made if count and made is not texture else None, layers
+    return painted if count and painted is not texture else None, layers
 
 
 def _merged(
@@ -235,24 +236,24 @@ def _merged(
     run: Run,
 ) -> OctreeTexture | None:
     """Merge layers, the IMAGEs, into a texture or a new one; None if they paint nothing."""
-    is_in = False
+    has_first_layer = False
     if texture is None:
         from octex.painting.first import started
         from octex.painting.surface import Job, PaintedSurface
 
         assert run.executor is not None
         job = Job(PaintedSurface(surface), run.executor, run.report)
-        texture, is_in = started(job, layers[0], "leave", options.blend)
-    made = texture
+        texture, has_first_layer = started(job, layers[0], "leave", options.blend)
+    merged = texture
     for number, layer in enumerate(layers):
-        if layer.tree.n_leaves and not (is_in and number == 0):
+        if layer.tree.n_leaves and not (has_first_layer and number == 0):
             try:
-                made = octex.merge(
-                    made, layer, surface, opacity=options.opacity, blend=options.blend, run=run
+                merged = octex.merge(
+                    merged, layer, surface, opacity=options.opacity, blend=options.blend, run=run
                 )
             except ArgumentError as error:
                 raise ArgumentError(f"{options.IMAGE[number]}: {error}") from None
-    return made if is_in or made is not texture else None
+    return merged if has_first_layer or merged is not texture else None
 
 
 def _reference(options: Options, shots: Sequence[Shot]) -> int | None:
@@ -313,14 +314,6 @@ def _nothing_painted(options: Options, program: str, compares: bool) -> int:
     reason = ", or ".join(reasons)
     message = f"nothing was painted, and {options.OUTPUT} is not written: {reason}"
     return fail(program, message, ExitCode.NOTHING_PAINTED)
-
-
-def _direction_to(surface: Surface, patch: Patch) -> Float64s:
-    """Return the direction (3,) that the patch faces: its mean normal."""
-    from octex.view.shading import face_normals
-
-    normals, areas = face_normals(surface.vertices, surface.triangles[patch.triangles])
-    return areas @ normals
 
 
 def _draw(

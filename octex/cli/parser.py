@@ -110,12 +110,12 @@ class Parser:
             for each in command.options
         }
         values["words"] = []
-        left = deque(words)
+        rest = deque(words)
         files: list[str] = []
-        while left:
-            word = left.popleft()
+        while rest:
+            word = rest.popleft()
             if word == "--":
-                files += left
+                files += rest
                 break
             if word in ("-h", "--help", "--version"):
                 say(f"{self.program} {octex.__version__}" if word == "--version" else self.help())
@@ -135,9 +135,9 @@ class Parser:
                 values[option.name] = True
                 continue
             if not equals:
-                if not left or left[0] in self._options:
+                if not rest or rest[0] in self._options:
                     self.error(f"{word} needs a value, {option.value}")
-                value = left.popleft()  # may begin with a minus
+                value = rest.popleft()  # may begin with a minus
             read = self._read(option.read, word, value)
             if is_repeated and not option.repeats:
                 self.error(f"{word} is given twice; it takes one value")
@@ -148,22 +148,22 @@ class Parser:
     def _files(self, words: list[str]) -> dict[str, Any]:
         """Return files by name, or refuse too few or too many."""
         files: dict[str, Any] = {}
-        left = deque(words)
-        late = None  # a file after a missing one
+        rest = deque(words)
+        misplaced = None  # a file after a missing one
         for each in self._command.files:
             if each.number == "any":
-                files[each.word] = [self._read(each.read, each.word, word) for word in left]
-                left.clear()
-            elif left and (each.number == "one" or each.fits(left[0])):
-                files[each.word] = self._read(each.read, each.word, left.popleft())
+                files[each.word] = [self._read(each.read, each.word, word) for word in rest]
+                rest.clear()
+            elif rest and (each.number == "one" or each.fits(rest[0])):
+                files[each.word] = self._read(each.read, each.word, rest.popleft())
             elif each.number == "maybe":
                 files[each.word] = None
-                late = late or next(filter(each.fits, left), None)
+                misplaced = misplaced or next(filter(each.fits, rest), None)
         usage = " ".join(each.usage for each in self._command.files)
-        if left:
-            if late is not None:
-                self.error(f"{late} stands in the wrong place: write {self.program} {usage}")
-            self.error(f"{left[0]} is one file too many for {self.program} {usage}".rstrip())
+        if rest:
+            if misplaced is not None:
+                self.error(f"{misplaced} stands in the wrong place: write {self.program} {usage}")
+            self.error(f"{rest[0]} is one file too many for {self.program} {usage}".rstrip())
         missing = [
             each.word for each in self._command.files if each.number == "one" and each.word not in files
         ]
@@ -186,5 +186,5 @@ class Parser:
         others = [f"octex {name}" for name, each in self._commands.items() if each.has(word)]
         if others:
             self.error(f"{word} is an option of {', '.join(others)}, not of {self.program}")
-        near = get_close_matches(word, self._options, 1, _ALIKE)
-        self.error(f"{word} is not an option{f': do you mean {near[0]}' if near else ''}")
+        similar = get_close_matches(word, self._options, 1, _ALIKE)
+        self.error(f"{word} is not an option{f': do you mean {similar[0]}' if similar else ''}")

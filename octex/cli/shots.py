@@ -60,7 +60,12 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
             camera = frame.camera(size)
             since: Path | Array | None = options.since
             if since is None and options.TEXTURE is not None and frame.view is not None:
-                _check_unscaled(size, frame)
+                if size != frame.size:
+                    raise CameraError(
+                        f"has {size[0]}×{size[1]} pixels, another number than the view in frame "
+                        f"{frame.name!r} of {frame.file}, so octex cannot tell which pixels you changed; "
+                        f"scale the image, or give --since {NOTHING}"
+                    )
                 since = decode_image(frame.view, f"the view in {frame.file}")
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from None
@@ -117,9 +122,9 @@ def _masks(options: Options, images: Sequence[Path]) -> list[Path | None]:
     pattern = next((each for each in options.mask if isinstance(each, str)), None)
     if pattern is None:
         if len(files) > 1:
-            kept = set(images)
+            painted = set(images)
             named = zip(images_of(options), files, strict=True)
-            return [mask for image, mask in named if image in kept]
+            return [mask for image, mask in named if image in painted]
         return [files[0] if files else None] * len(images)
     masks = [Path(pattern.replace("{name}", path.name).replace("{stem}", path.stem)) for path in images]
     missing = [mask.as_posix() for mask in masks if not mask.is_file()]
@@ -137,16 +142,6 @@ def _size(path: Path, frame: Frame) -> tuple[int, int]:
         return width, height
     is_turned = orientation_of(path.read_bytes()) >= 5  # those of EXIF that swap rows and columns
     return (height, width) if is_turned else (width, height)
-
-
-def _check_unscaled(size: tuple[int, int], frame: Frame) -> None:
-    """Refuse an image of another size than the view of its frame."""
-    if size != frame.size:
-        raise CameraError(
-            f"has {size[0]}×{size[1]} pixels, another number than the view in frame {frame.name!r} of "
-            f"{frame.file}, so octex cannot tell which pixels you changed; scale the image, or give "
-            f"--since {NOTHING}"
-        )
 
 
 def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
@@ -168,11 +163,13 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
     if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(name for _, name in images)]):
         return [(image, frame) for (image, _), frame in zip(images, frames, strict=True)], []
     if images:
-        bare = [image for image, name in images if name is None and not has_frame(frames, image.as_posix())]
-        kept = [each for each in images if each[0] not in bare] or images
+        unseen = [image for image, name in images if name is None and not has_frame(frames, image.as_posix())]
+        named_images = [each for each in images if each[0] not in unseen] or images
         try:
-            pairs = [(image, find_frame(frames, name or image.as_posix(), file)) for image, name in kept]
-            return pairs, [image.name for image in bare]
+            pairs = [
+                (image, find_frame(frames, name or image.as_posix(), file)) for image, name in named_images
+            ]
+            return pairs, [image.name for image in unseen]
         except CameraError as error:
             raise CameraError(f"{error}; IMAGE=NAME says which camera an IMAGE has") from None
     named = [(frame.image, frame) for frame in frames if frame.image is not None]

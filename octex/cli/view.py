@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import octex
-from octex.cli.common import Reporter, check_outputs, say, tell_file
+from octex.cli.common import Reporter, check_outputs, report_file, say
 from octex.cli.inputs import kind_of, open_texture, refuse, shaped_model
 from octex.cli.parser import Options
 from octex.cli.values import PAGE_ENDING, TEXTURE_ENDINGS, WEB_ENDING
@@ -82,7 +82,7 @@ def view(options: Options, program: str) -> int:
         if viewer.session is not None and (unsaved := viewer.session.close()):
             say(unsaved)
         return ExitCode.DONE
-    return tell_file(options, "", {"notes": notes}, *notes, path=page)
+    return report_file(options, "", {"notes": notes}, *notes, path=page)
 
 
 def _session(
@@ -104,8 +104,8 @@ def _session(
     except ArgumentError as error:
         raise ArgumentError(f"{options.TEXTURE or options.MODEL}: {error}") from None
     if session.repeated:
-        what = "command is" if session.repeated == 1 else "commands are"
-        progress.note(f"{session.repeated} {what} painted again; Ctrl-S in the page saves")
+        commands = "command is" if session.repeated == 1 else "commands are"
+        progress.note(f"{session.repeated} {commands} painted again; Ctrl-S in the page saves")
     return session
 
 
@@ -184,16 +184,16 @@ def _check_painting(options: Options, is_set: bool) -> None:
     check_outputs([(path, TEXTURE_ENDINGS, word) for path, word in outputs], inputs, force=is_forced)
 
 
-def _motion_of(path: Path, options: Options, tell_note: Callable[[str], None]) -> Motion | None:
+def _motion_of(path: Path, options: Options, note: Callable[[str], None]) -> Motion | None:
     """Return the animations of a model if the page can show them; otherwise note why not."""
     from octex.source.load import load_motion
 
     try:
         motion = load_motion(path)
     except OctexError as error:
-        tell_note(f"no animations: {error}")
+        note(f"no animations: {error}")
         return None
     if motion is not None and options.subdiv is not None:
-        tell_note("no animations: they do not move subdivided models")
+        note("no animations: they do not move subdivided models")
         return None
     return motion

@@ -122,9 +122,9 @@ def difference(
     placement and depth. Values are compared only where both have a surface (within a finest cell);
     ``Differences.uncovered`` is the part left out.
 
-    Memory does not grow with the number of points and leaves. Raises ArgumentError for two models, for
-    channels that one side lacks or that differ in meaning, for an unknown filter, for surfaces without a
-    common part, and for textures whose parts were separated differently.
+    Memory does not grow with the number of points and leaves. Raises ArgumentError for two models, for an
+    unknown filter, and for channels that one side lacks or that differ in meaning. Also for surfaces without
+    a common part, and for textures whose parts were separated differently.
     """
     report = as_progress(progress)
     points = as_whole(points, "points", 1, _MOST_POINTS)
@@ -141,29 +141,29 @@ def difference(
     width = width if models else 0.0
     spaces, readers = readers_of(sides, channels, width, filter)
     total = points if models else sum(texture.tree.n_leaves for texture in textures)
-    visits = _model_visits(sides, models[0], points, seed) if models else _leaf_visits(textures)
+    batches = _model_visits(sides, models[0], points, seed) if models else _leaf_visits(textures)
 
     sums = {name: _Sums(MEASURES[space]) for name, space in spaces.items()}
     angles = {name: _Sums(_ANGLE) for name, space in spaces.items() if space == "direction"}
-    areas, missed = np.zeros(2), np.zeros(2)
+    areas, uncovered = np.zeros(2), np.zeros(2)
     done = compared = 0
     report("compare", 0, total)
-    for number, visited, weights, covered in visits:
+    for number, batch, weights, covered in batches:
         areas[number] += weights.sum()
-        missed[number] += weights[~covered].sum()
-        common, shares = visited.only(covered), weights[covered]
-        if len(shares):
-            first, second = (read(common) for read in readers)
-            for name, u in first.items():
-                v = second[name]
+        uncovered[number] += weights[~covered].sum()
+        common, common_weights = batch.only(covered), weights[covered]
+        if len(common_weights):
+            values_a, values_b = (read(common) for read in readers)
+            for name, u in values_a.items():
+                v = values_b[name]
                 if not np.isfinite(v - u).all():
                     raise ArgumentError(
                         f"channel {name!r} has values that are not finite; validate the textures"
                     )
-                sums[name].add(common.rest, shares, v - u, u, v)
+                sums[name].add(common.rest, common_weights, v - u, u, v)
                 if name in angles:
-                    angles[name].add(common.rest, shares, degrees_between(u, v)[:, None], u, v)
-        compared += len(shares)
+                    angles[name].add(common.rest, common_weights, degrees_between(u, v)[:, None], u, v)
+        compared += len(common_weights)
         done += len(weights)
         report("compare", done, total)
     if not compared:
@@ -174,14 +174,12 @@ def difference(
         angle = angles[name].result() if name in angles else None
         results[name] = sums[name].result()._replace(angle=angle)
     results.points, results.width, results.filter = compared, width if models else None, filter
-    ours, theirs = (formats_of(side) for side in sides)
+    formats_a, formats_b = (formats_of(side) for side in sides)
     results.unmatched = (
-        tuple(name for name in ours if name not in theirs),
-        tuple(name for name in theirs if name not in ours),
+        tuple(name for name in formats_a if name not in formats_b),
+        tuple(name for name in formats_b if name not in formats_a),
     )
-    parts = [
-        float(missed[number] / areas[number]) if not models or number in models else None for number in (0, 1)
-    ]
+    parts = [float(uncovered[n] / areas[n]) if not models or n in models else None for n in (0, 1)]
     results.uncovered = parts[0], parts[1]
     if models:
         areas = np.array([_area(side) for side in sides])
@@ -205,8 +203,8 @@ def reader_of(side: Side, spaces: dict[str, ColorSpace], fades: bool, width: flo
     def read(points: Points) -> dict[str, Float64s]:
         values: Mapping[str, Float32s]
         if isinstance(side, OctreeTexture):
-            wide = width if width > cell_of(side) else None  # no lookup is sharper
-            values = side.sample(points.rest, names, filter, width=wide, normalize=False)
+            footprint = width if width > cell_of(side) else None  # no lookup is sharper
+            values = side.sample(points.rest, names, filter, width=footprint, normalize=False)
         else:
             assert points.triangles is not None and points.barycentric is not None
             widths = np.full(len(points.rest), width, np.float32)
@@ -257,23 +255,23 @@ def readers_of(
     Values are averaged over ``width``.
     """
     as_choice(filter, FILTERS, "filter")
-    first, second = (formats_of(side) for side in sides)
-    both = [name for name in first if name in second]
-    chosen = both if channels is None else as_names(channels, "channels")
-    if not both or not chosen:
+    formats_a, formats_b = (formats_of(side) for side in sides)
+    common = [name for name in formats_a if name in formats_b]
+    names = common if channels is None else as_names(channels, "channels")
+    if not common or not names:
         raise ArgumentError(
-            f"no channel to compare: one has {', '.join(first) or 'none'}, "
-            f"the other {', '.join(second) or 'none'}"
+            f"no channel to compare: one has {', '.join(formats_a) or 'none'}, "
+            f"the other {', '.join(formats_b) or 'none'}"
         )
     spaces: dict[str, ColorSpace] = {}
-    for name in chosen:
-        as_choice(name, both, "channel in both")
-        meanings = [(MEASURES[form.space], form.components) for form in (first[name], second[name])]
+    for name in names:
+        as_choice(name, common, "channel in both")
+        meanings = [(MEASURES[form.space], form.components) for form in (formats_a[name], formats_b[name])]
         if meanings[0] != meanings[1]:
             one, other = (f"{components} components ({measure})" for measure, components in meanings)
             raise ArgumentError(f"channel {name!r} has {one} on one side and {other} on the other")
-        spaces[name] = first[name].space
-    fades = "alpha" in both and any(space in _LIGHT for space in spaces.values())
+        spaces[name] = formats_a[name].space
+    fades = "alpha" in common and any(space in _LIGHT for space in spaces.values())
     return spaces, [reader_of(side, spaces, fades, width, filter) for side in sides]
 
 
@@ -319,19 +317,19 @@ def inside_cells(texture: OctreeTexture) -> Callable[..., Bools]:
     inset = texture.placement.size * 2.0**-29
 
     def lies_on(centres: Floats, edges: Floats | None = None) -> Bools:
-        is_inside = np.zeros(len(centres), np.bool_)
+        meets_leaf = np.zeros(len(centres), np.bool_)
         edges = np.full(len(centres), cell_of(texture)) if edges is None else edges
         for edge in np.unique(edges):
             # A cell that meets a cube, and is no smaller, holds one of the cube's corners.
             level = int(np.clip(np.floor(np.log2(texture.placement.size / edge) + 1e-9), 0, 21))
             coarse = level_of(min(level, texture.tree.max_depth))
-            left = np.flatnonzero(edges == edge)
+            rows = np.flatnonzero(edges == edge)
             for corner in np.ndindex(2, 2, 2):
                 offset = (np.array(corner) - 0.5) * (edge - 2 * inset)
-                held = coarse.contains(centres[left] + offset)
-                is_inside[left[held]] = True
-                left = left[~held]
-        return is_inside
+                is_in_leaf = coarse.contains(centres[rows] + offset)
+                meets_leaf[rows[is_in_leaf]] = True
+                rows = rows[~is_in_leaf]
+        return meets_leaf
 
     return lies_on
 
@@ -352,16 +350,16 @@ class _Sums:
         self.maximum = -1.0
         self.at: tuple[Floats, Floats, Floats]
 
-    def add(self, rest: Floats, weights: Floats, apart: Floats, a: Floats, b: Floats) -> None:
+    def add(self, rest: Floats, weights: Floats, differences: Floats, a: Floats, b: Floats) -> None:
         """Add points (n, 3) with weights (n,), differences and values (n, components)."""
         self.weight += float(weights.sum())
-        self.squares += float(weights @ (apart**2).mean(axis=1))
-        most = np.abs(apart).max(axis=1)
-        bins = most.astype(np.float32).view(np.uint32) >> _CUT_BITS
+        self.squares += float(weights @ (differences**2).mean(axis=1))
+        largest = np.abs(differences).max(axis=1)
+        bins = largest.astype(np.float32).view(np.uint32) >> _CUT_BITS
         self.histogram += np.bincount(bins, weights, _BINS)
-        n = int(most.argmax())
-        if most[n] > self.maximum:
-            self.maximum = float(most[n])
+        n = int(largest.argmax())
+        if largest[n] > self.maximum:
+            self.maximum = float(largest[n])
             self.at = rest[n].copy(), a[n].copy(), b[n].copy()
 
     def result(self) -> Difference:

@@ -21,7 +21,7 @@ from octex.drawing.compare import (
     placed,
     readers_of,
 )
-from octex.drawing.directions import USUAL, Viewpoint, leaf_camera, surface_camera
+from octex.drawing.directions import DEFAULT_VIEW, Viewpoint, leaf_camera, surface_camera
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.panels import caption_height, captioned, named, source_caption, texture_facts
 from octex.drawing.rasters import Film, Leaves, film_leaves, film_surface, visible_level
@@ -54,7 +54,7 @@ def draw_difference(
     names: tuple[str, str] = ("A", "B"),
     size: tuple[int, int] = (1800, 640),
     supersample: int = 3,
-    view: Viewpoint = USUAL,
+    view: Viewpoint = DEFAULT_VIEW,
 ) -> Uint8s:
     """Draw both and their difference side by side, one row a channel, as sRGB codes (height, width, 3).
 
@@ -79,18 +79,18 @@ def draw_difference(
             return source_caption(side, channel)[1]
         return f"{named(channel)}octree, depth {side.tree.max_depth}, {texture_facts(side)}"
 
-    whole = placed(a, b)
+    sides = placed(a, b)
     room = round(1.6 * caption_height(size[1]))
-    draw = _drawn_on_model if any(isinstance(side, Surface) for side in whole) else _drawn_leaves
+    draw = _drawn_on_model if any(isinstance(side, Surface) for side in sides) else _drawn_leaves
     panel = (size[0] // 3, size[1]), room, view
-    drawn = draw(in_common(*whole), differences, panel, supersample)
+    drawn = draw(in_common(*sides), differences, panel, supersample)
     rows = []
     for (channel, result), (images, film, ring) in zip(differences.items(), drawn, strict=True):
         panels = [
             captioned(image, name, caption(side, channel), room)
-            for image, name, side in zip(images, names, whole, strict=True)
+            for image, name, side in zip(images, names, sides, strict=True)
         ]
-        if isinstance(whole[1], Surface):
+        if isinstance(sides[1], Surface):
             panels.reverse()
         panels.append(_difference_panel(film, ring, channel, result.angle or result, room))
         rows.append(np.hstack([np.asarray(panel) for panel in panels]))
@@ -103,12 +103,12 @@ def _drawn_on_model(
     """Draw a model coloured by itself and by a texture, channel by channel."""
     (model,) = (side for side in sides if isinstance(side, Surface))
     (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
-    camera = surface_camera(model, _look(sides[0], next(iter(differences))), *panel)
+    camera = surface_camera(model, _shader_of(sides[0], next(iter(differences))), *panel)
     covers = inside_cells(texture)
     for channel, result in differences.items():
-        looks = [_look(side, channel) for side in sides]
-        looks.append(_difference_look(sides, channel, differences, covers))
-        *films, film = film_surface(model, camera, looks, supersample)
+        shaders = [_shader_of(side, channel) for side in sides]
+        shaders.append(_difference_shader(sides, channel, differences, covers))
+        *films, film = film_surface(model, camera, shaders, supersample)
         where = np.array((result.angle or result).where)
         nearest, ring = np.inf, None
         for pixels, hits in visible_hits(model, camera, rest_normals(model)):
@@ -120,47 +120,48 @@ def _drawn_on_model(
         yield [each.image() for each in films], film, ring
 
 
-def _look(side: Side, channel: str) -> Shader:
+def _shader_of(side: Side, channel: str) -> Shader:
     return source_shader(side, channel) if isinstance(side, Surface) else texture_shader(side, channel)
 
 
-def _difference_look(
+def _difference_shader(
     sides: tuple[Side, Side], channel: str, differences: Differences, covers: Callable[..., Bools]
 ) -> Shader:
-    apart = _difference_of(sides, channel, differences)
-    return lambda hits: apart(Points(hits.rest, hits.triangles, hits.barycentric), covers(hits.rest))
+    appearance_of = _difference_of(sides, channel, differences)
+    return lambda hits: appearance_of(Points(hits.rest, hits.triangles, hits.barycentric), covers(hits.rest))
 
 
 def _drawn_leaves(
     sides: tuple[Side, Side], differences: Differences, panel: _Panel, supersample: int
 ) -> Iterator[_Row]:
     """Draw the leaves of two textures, no smaller than half a pixel, channel by channel."""
-    whole = [side for side in sides if isinstance(side, OctreeTexture)]
-    camera = leaf_camera(whole, next(iter(differences)), *panel)
-    a, b = (texture.level(visible_level(texture, camera, pixels=0.5)) for texture in whole)
-    textures, both = (a, b), (Leaves.of(a), Leaves.of(b))
+    originals = [side for side in sides if isinstance(side, OctreeTexture)]
+    camera = leaf_camera(originals, next(iter(differences)), *panel)
+    a, b = (texture.level(visible_level(texture, camera, pixels=0.5)) for texture in originals)
+    textures, pair = (a, b), (Leaves.of(a), Leaves.of(b))
     # Draw the difference on the finer texture's leaves, and on the other's where the finer has none.
-    order = (0, 1) if both[0].edges.min() <= both[1].edges.min() else (1, 0)
-    fine, coarse = (both[n] for n in order)
+    order = (0, 1) if pair[0].edges.min() <= pair[1].edges.min() else (1, 0)
+    fine, coarse = (pair[n] for n in order)
     meets_coarse, meets_fine = (inside_cells(textures[n]) for n in reversed(order))
-    alone = ~meets_fine(coarse.centres, coarse.edges)
-    covered = np.concatenate([meets_coarse(fine.centres, fine.edges), np.zeros(int(alone.sum()), np.bool_)])
-    differing = Leaves.joined(fine, coarse.only(alone))
-    drawn = *both, differing
-    seen = [leaves.seen(camera.scaled(supersample)) for leaves in drawn]
+    is_alone = ~meets_fine(coarse.centres, coarse.edges)
+    added = coarse.only(is_alone)
+    covered = np.append(meets_coarse(fine.centres, fine.edges), np.zeros(len(added.edges), np.bool_))
+    differing = Leaves.joined(fine, added)
+    leaf_sets = *pair, differing
+    z_buffers = [leaves.seen(camera.scaled(supersample)) for leaves in leaf_sets]
     for channel, result in differences.items():
         appearances = [
-            leaves.appearance(texture, channel) for leaves, texture in zip(both, textures, strict=True)
+            leaves.appearance(texture, channel) for leaves, texture in zip(pair, textures, strict=True)
         ]
         appearances.append(_difference_of(textures, channel, differences)(Points(differing.centres), covered))
         *films, film = (
             film_leaves(leaves, appearance, buffers, camera, supersample)
-            for leaves, appearance, buffers in zip(drawn, appearances, seen, strict=True)
+            for leaves, appearance, buffers in zip(leaf_sets, appearances, z_buffers, strict=True)
         )
         # Leaves that contain the maximum, or the centre of a leaf that does.
         where = np.array((result.angle or result).where)
         holding = np.abs(differing.centres - where).max(axis=1) <= 1.001 * differing.edges
-        cubes = seen[2].cube
+        cubes = z_buffers[2].cube
         at = (np.argwhere((cubes >= 0) & holding[cubes]) + 0.5) / supersample
         ring = (float(at[:, 1].mean()), float(at[:, 0].mean())) if len(at) else None
         yield [each.image() for each in films], film, ring
@@ -175,9 +176,9 @@ def _difference_of(
 
     def appearance(points: Points, covered: Bools) -> Appearance:
         a, b = (read(points)[channel] for read in readers)
-        apart = degrees_between(a, b) if is_direction else np.abs(b - a).max(axis=1)
-        emitted = np.zeros((len(apart), 3))
-        emitted[:, 0] = np.where(covered, apart, 0.0)
+        amounts = degrees_between(a, b) if is_direction else np.abs(b - a).max(axis=1)
+        emitted = np.zeros((len(amounts), 3))
+        emitted[:, 0] = np.where(covered, amounts, 0.0)
         emitted[:, 1] = ~covered
         return Appearance(emitted=emitted)
 
@@ -185,29 +186,29 @@ def _difference_of(
 
 
 def _difference_panel(
-    film: Film, ring: tuple[float, float] | None, channel: str, shown: Difference, room: int
+    film: Film, ring: tuple[float, float] | None, channel: str, result: Difference, room: int
 ) -> Image.Image:
-    top = _scale_top(shown)
+    top = _scale_top(result)
     exposed, coverage = film.exposure()
-    apart, alone = exposed[..., 0] / top, exposed[..., 1:2]
-    within = np.maximum(coverage - alone, 1e-9)
+    ratios, only_one = exposed[..., 0] / top, exposed[..., 1:2]
+    within = np.maximum(coverage - only_one, 1e-9)
     colors = (
-        srgb_to_linear(_scale_codes(apart / within[..., 0]) / 255) * within
-        + srgb_to_linear(_ALONE / 255) * alone
+        srgb_to_linear(_scale_codes(ratios / within[..., 0]) / 255) * within
+        + srgb_to_linear(_ALONE / 255) * only_one
     )
-    image = (colors + (1.0 - coverage) * background(*apart.shape)).astype(np.float32)
-    title = f"{channel}: {_text(PEAKS[shown.measure] / top)} times the difference"
+    image = (colors + (1.0 - coverage) * background(*ratios.shape)).astype(np.float32)
+    title = f"{channel}: {_text(PEAKS[result.measure] / top)} times the difference"
     subtitle = "they do not differ"
-    if shown.maximum > 0:
-        rms, maximum = (_amount(number, shown.measure) for number in (shown.rms, shown.maximum))
+    if result.maximum > 0:
+        rms, maximum = (_amount(number, result.measure) for number in (result.rms, result.maximum))
         subtitle = f"RMS {rms}, maximum {maximum}, {'in the ring' if ring else 'out of sight'}"
     panel = captioned(image, title, subtitle, room)
-    if ring and shown.maximum > 0:
+    if ring and result.maximum > 0:
         draw = ImageDraw.Draw(panel)
         radius = max(panel.height / 40, 4.0)
         draw.circle(ring, radius + 2, outline=(0, 0, 0), width=2)
         draw.circle(ring, radius, outline=(255, 255, 255), width=2)
-    _draw_legend(panel, top, shown.measure, room, alone=bool(alone.any()))
+    _draw_legend(panel, top, result.measure, room, alone=bool(only_one.any()))
     return panel
 
 
@@ -230,11 +231,11 @@ def _draw_legend(panel: Image.Image, top: float, measure: str, room: int, *, alo
         draw.text((strip * 0.4 + height, middle), "only in one", (80, 80, 84), font, "lm")
 
 
-def _scale_top(shown: Difference) -> float:
+def _scale_top(result: Difference) -> float:
     """Return the least of 1, 2, 5, 10, 20, … that reaches the 99th percentile and a tenth of the maximum."""
-    reach = max(shown.p99, shown.maximum / 10)
+    reach = max(result.p99, result.maximum / 10)
     if not 0 < reach < np.inf:
-        return PEAKS[shown.measure]
+        return PEAKS[result.measure]
     tens = 10.0 ** np.floor(np.log10(reach))
     return float(next(step * tens for step in (1, 2, 5, 10) if step * tens >= reach * (1 - 1e-9)))
 

@@ -78,7 +78,7 @@ class Viewpoint(NamedTuple):
         return replace(camera, height=camera.height + room)
 
 
-USUAL = Viewpoint()
+DEFAULT_VIEW = Viewpoint()
 
 
 def as_viewpoint(direction: npt.ArrayLike | None, up: npt.ArrayLike, zoom: float) -> Viewpoint:
@@ -89,10 +89,10 @@ def as_viewpoint(direction: npt.ArrayLike | None, up: npt.ArrayLike, zoom: float
 
 def viewpoint_among(cameras: Sequence[Camera]) -> Viewpoint:
     """Return the mean direction and up of cameras; those of the first if the cameras look from all around."""
-    turns = [camera.world_to_camera[:3, :3] for camera in cameras]
+    rotations = [camera.world_to_camera[:3, :3] for camera in cameras]
     means = []
     for axis in (2, 1):
-        vectors = np.array([-turn[axis] for turn in turns])
+        vectors = np.array([-rotation[axis] for rotation in rotations])
         mean = vectors.mean(axis=0)
         means.append(mean if np.linalg.norm(mean) >= _ALIKE else vectors[0])
     return Viewpoint(*means)
@@ -143,7 +143,7 @@ def camera_of(
 
 
 def surface_camera(
-    surface: Surface, look: Shader, size: tuple[int, int], room: int = 0, view: Viewpoint = USUAL
+    surface: Surface, look: Shader, size: tuple[int, int], room: int = 0, view: Viewpoint = DEFAULT_VIEW
 ) -> Camera:
     """Return a camera that sees a model above ``room`` pixels, by default from the side with most detail."""
     normals = rest_normals(surface)
@@ -163,22 +163,22 @@ def leaf_camera(
     channel: str | None,
     size: tuple[int, int],
     room: int = 0,
-    view: Viewpoint = USUAL,
+    view: Viewpoint = DEFAULT_VIEW,
 ) -> Camera:
     """Return a camera that sees textures, by default from the side where the first has most detail."""
     # Coarse cells suffice to find the bounds and the best side.
     coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
-    every = [Leaves.of(texture) for texture in coarse]
-    first, colors = every[0], every[0].appearance(coarse[0], channel).unlit()
+    sets = [Leaves.of(texture) for texture in coarse]
+    first, colors = sets[0], sets[0].appearance(coarse[0], channel).unlit()
 
     def unlit(camera: Camera) -> Floats:
-        seen = first.seen(camera).cube
-        image = np.full((*seen.shape, 3), np.nan)
-        image[seen >= 0] = linear_to_srgb(colors[seen[seen >= 0]])
+        cubes = first.seen(camera).cube
+        image = np.full((*cubes.shape, 3), np.nan)
+        image[cubes >= 0] = linear_to_srgb(colors[cubes[cubes >= 0]])
         return image
 
     corners = np.array(list(np.ndindex(2, 2, 2)))
     points = np.concatenate(
-        [leaves.corners + corner * leaves.edges[:, None] for leaves in every for corner in corners]
+        [leaves.corners + corner * leaves.edges[:, None] for leaves in sets for corner in corners]
     )
     return view.camera(points, lambda: (first.normals, first.edges**2), unlit, size, room)

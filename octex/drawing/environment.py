@@ -70,8 +70,8 @@ class Environment:
         """Make one of an image file (``.hdr``, ``.exr`` or another), a Pillow image or an array.
 
         Arrays (height, width, 1 to 4) of floats are linear light, of integers sRGB codes. The image's top is
-        ``up``. With +y up its middle is +z, in front of the model, and −x is to the right of it (the
-        latitude-longitude map of OpenEXR's ImfEnvmap.h). Each stop of ``exposure`` doubles the light. Values
+        ``up``. With +y up its middle is +z, in front of the model, and −x is to the right of it. This is the
+        latitude-longitude map of OpenEXR's ImfEnvmap.h. Each stop of ``exposure`` doubles the light. Values
         below 0, from lossy files, become black. Raises ImageError for an unusable image, ArgumentError for an
         exposure beyond ±64 stops and an ``up`` of length 0.
         """
@@ -119,7 +119,7 @@ class Environment:
         return self._read(directions, as_number(roughness, "roughness", 0.0, 1.0) * _STEPS)
 
     def irradiance(self, normals: npt.ArrayLike) -> Float64s:
-        """Return irradiance over π (n, 3) for normals (n, 3): what white matte surfaces reflect."""
+        """Return irradiance over π (n, 3) for normals (n, 3): the light that white matte surfaces reflect."""
         return self._read(normals, -1.0)
 
     def _read(self, directions: npt.ArrayLike, level: float) -> Float64s:
@@ -201,10 +201,10 @@ def _directions(height: int, width: int) -> Float64s:
 def _tables(light: Float64s, axes: Float64s) -> Tables:
     """Return the tables, one a roughness and one of irradiance, of an image whose sides are powers of two."""
     pyramid, levels = _pyramid(light)
-    sizes = [light.shape[:2], *((max(wide // 2, 1), wide) for wide in _WIDTHS)]
+    sizes = [light.shape[:2], *((max(width // 2, 1), width) for width in _WIDTHS)]
     tables = [light.reshape(-1, 3)]
-    for number, (high, wide) in enumerate(sizes[1:], 1):
-        directions = np.ascontiguousarray(_directions(high, wide).reshape(-1, 3))
+    for number, (height, width) in enumerate(sizes[1:], 1):
+        directions = np.ascontiguousarray(_directions(height, width).reshape(-1, 3))
         texels = np.empty_like(directions)
         alpha = (number / _STEPS) ** 2 if number < len(_WIDTHS) else 0.0
         _gather(pyramid, levels, directions, alpha, texels)
@@ -219,19 +219,19 @@ def _pyramid(light: Float64s) -> tuple[Float64s, Int64s]:
     rows: list[Float64s] = []
     levels: list[tuple[int, int, int]] = []
     first = 0
-    high, wide = light.shape[:2]
-    ends = np.sin(np.pi * (0.5 - np.arange(high + 1) / high))
-    solid = np.broadcast_to(((ends[:-1] - ends[1:]) * 2 * np.pi / wide)[:, None], (high, wide))
-    middle = _directions(high, wide)
+    height, width = light.shape[:2]
+    ends = np.sin(np.pi * (0.5 - np.arange(height + 1) / height))
+    solid = np.broadcast_to(((ends[:-1] - ends[1:]) * 2 * np.pi / width)[:, None], (height, width))
+    middle = _directions(height, width)
     least = 1e-3 * light.mean() + 1e-30  # makes directions of dark texels the directions of their centres
     while True:
-        high, wide = light.shape[:2]
-        reach = np.full((high, wide), 0.5 * np.hypot(np.pi / high, 2 * np.pi / wide))
-        parts = light, solid[..., None], middle, reach[..., None]
-        rows.append(np.concatenate(parts, axis=2).reshape(-1, 8))
-        levels.append((first, high, wide))
-        first += high * wide
-        if high == _ROWS or wide == 2 * _ROWS:
+        height, width = light.shape[:2]
+        reach = np.full((height, width), 0.5 * np.hypot(np.pi / height, 2 * np.pi / width))
+        columns = light, solid[..., None], middle, reach[..., None]
+        rows.append(np.concatenate(columns, axis=2).reshape(-1, 8))
+        levels.append((first, height, width))
+        first += height * width
+        if height == _ROWS or width == 2 * _ROWS:
             return np.concatenate(rows), np.array(levels, np.int64)
         middle = _of_four(middle * ((light.mean(axis=2) + least) * solid)[..., None])
         middle /= np.linalg.norm(middle, axis=2, keepdims=True)
@@ -241,8 +241,8 @@ def _pyramid(light: Float64s) -> tuple[Float64s, Int64s]:
 
 def _of_four(values: Float64s) -> Float64s:
     """Return the sums of 2 × 2 texels (height, width, k)."""
-    high, wide, parts = values.shape
-    return np.asarray(values.reshape(high // 2, 2, wide // 2, 2, parts).sum(axis=(1, 3)))
+    height, width, parts = values.shape
+    return np.asarray(values.reshape(height // 2, 2, width // 2, 2, parts).sum(axis=(1, 3)))
 
 
 @kernel
@@ -314,7 +314,7 @@ def glossy_light(
 
 @inlined
 def matte_light(tables: Tables, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return irradiance over π for a unit normal: what a white matte surface reflects."""
+    """Return irradiance over π for a unit normal: the light that a white matte surface reflects."""
     return _texel(tables, _STEPS + 1, x, y, z)
 
 

@@ -35,7 +35,7 @@ class Hits(NamedTuple):
     normals: Float64s  # (n, 3)   smooth normals at rest
 
 
-class Seen:
+class CameraView:
     """A surface in front of a camera."""
 
     def __init__(self, surface: Surface, camera: Camera, normals: Float32s | None = None) -> None:
@@ -65,8 +65,8 @@ class Seen:
 
     def blocks(self, buffers: Buffers) -> list[Int64s]:
         """Return batches of the pixels that see a surface, numbered row by row."""
-        seen = np.flatnonzero(buffers.triangle >= 0)
-        return [seen[first : first + _BLOCK] for first in range(0, len(seen), _BLOCK)]
+        visible = np.flatnonzero(buffers.triangle >= 0)
+        return [visible[first : first + _BLOCK] for first in range(0, len(visible), _BLOCK)]
 
     def hits(self, pixels: Int64s, buffers: Buffers) -> tuple[Hits, Float64s]:
         """Return the hits of pixels (n,), and their positions on the posed surface (n, 3)."""
@@ -85,9 +85,9 @@ class Seen:
 def visible_hits(surface: Surface, camera: Camera, normals: Float32s) -> Iterator[tuple[Int64s, Hits]]:
     """Yield batches of pixel numbers and their hits."""
     buffers = z_buffer(surface.vertices, surface.triangles, camera)
-    seen = Seen(surface, camera, normals)
-    for pixels in seen.blocks(buffers):
-        yield pixels, seen.hits(pixels, buffers)[0]
+    view = CameraView(surface, camera, normals)
+    for pixels in view.blocks(buffers):
+        yield pixels, view.hits(pixels, buffers)[0]
 
 
 def rest_normals(surface: Surface) -> Float32s:
@@ -105,14 +105,15 @@ def smooth_normals(frames: Frames | None, positions: Float64s, triangles: Int32s
 @kernel
 def _hit(
     eye: Float64s, perspective: bool, vertices: Float64s, resting: Float64s, is_posed: bool,
-    triangles: Int32s, faces: Float64s, corner_normals: Float32s, seen: Int32s, shares: Float32s,
-    weights: Float64s, points: Float64s, rest: Float64s, right: Float64s, down: Float64s, normals: Float64s,
+    triangles: Int32s, faces: Float64s, corner_normals: Float32s, hit_triangles: Int32s,
+    barycentric: Float32s, weights: Float64s, points: Float64s, rest: Float64s, right: Float64s,
+    down: Float64s, normals: Float64s,
 ) -> None:  # fmt: skip
-    """Write the hits at barycentric ``shares`` (n, 3) of the triangles ``seen`` (n,)."""
-    for n in range(len(seen)):
-        triangle = seen[n]
+    """Write the hits at ``barycentric`` (n, 3) of ``hit_triangles`` (n,)."""
+    for n in range(len(hit_triangles)):
+        triangle = hit_triangles[n]
         a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
-        u, v, w = float(shares[n, 0]), float(shares[n, 1]), float(shares[n, 2])
+        u, v, w = float(barycentric[n, 0]), float(barycentric[n, 1]), float(barycentric[n, 2])
         weights[n, 0], weights[n, 1], weights[n, 2] = u, v, w
         for axis in range(3):
             points[n, axis] = u * vertices[a, axis] + v * vertices[b, axis] + w * vertices[c, axis]

@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from octex.arrays import Float32s, Uint8s
 from octex.channels import encode
 from octex.checks import as_path, as_text
-from octex.drawing.directions import USUAL, Viewpoint, as_viewpoint, leaf_camera, surface_camera
+from octex.drawing.directions import DEFAULT_VIEW, Viewpoint, as_viewpoint, leaf_camera, surface_camera
 from octex.drawing.environment import Environment, as_light
 from octex.drawing.rasters import as_image_size, as_supersample, film_surface, render_leaves, visible_level
 from octex.drawing.shaders import Bump, Shown, as_bump, source_shader, texture_shader
@@ -51,7 +51,7 @@ def write_preview(
     supersample    samples along each side of a pixel
 
     A file at ``path`` is replaced once the image is complete. Raises OutputError if the file cannot be
-    written, and ArgumentError for neither a surface nor a texture, without leaves or channels to draw, and
+    written. Raises ArgumentError for neither a surface nor a texture, without leaves or channels to draw, and
     for an unknown channel.
     """
     path = as_path(path)
@@ -74,7 +74,7 @@ def draw_preview(
     size: tuple[int, int] = (1600, 880),
     supersample: int = 3,
     *,
-    view: Viewpoint = USUAL,
+    view: Viewpoint = DEFAULT_VIEW,
     channel: str | None = None,
     light: Environment | None = None,
     bump: Bump | None = None,
@@ -83,19 +83,19 @@ def draw_preview(
     room = caption_height(size[1])
     if surface is not None:
         placed = surface if texture is None else surface.placed_on(texture)
-        known = [form.name for form in placed.channels]
+        names = [form.name for form in placed.channels]
         shared = [form for form in placed.channels if texture is None or form.name in texture.channels]
         channel, materials = Shown.of(shared, channel).channel.name, light is not None
         # Next to a texture that has the channel of the bump, a model without it is drawn without the bump.
-        own_bump = None if texture is not None and bump is not None and bump[0] not in known else bump
-        looks = [source_shader(placed, channel, materials=materials, bump=own_bump)]
+        model_bump = None if texture is not None and bump is not None and bump[0] not in names else bump
+        shaders = [source_shader(placed, channel, materials=materials, bump=model_bump)]
         captions = [source_caption(placed, channel)]
         if texture is not None:
-            looks.append(texture_shader(texture, channel, materials=materials, bump=bump))
+            shaders.append(texture_shader(texture, channel, materials=materials, bump=bump))
             captions.append(texture_caption(texture, channel))
-        panel_size = size[0] // len(looks), size[1]
+        panel_size = size[0] // len(shaders), size[1]
         camera = surface_camera(placed, source_shader(placed, channel), panel_size, room, view)
-        films = film_surface(placed, camera, looks, supersample, light)
+        films = film_surface(placed, camera, shaders, supersample, light)
         images = [film.image() for film in films]
     elif texture is not None:
         channel = Shown.of((each.format for each in texture.channels.values()), channel).channel.name

@@ -1,4 +1,4 @@
-"""Renders surfaces and leaves: finds what samples see, lights it, and averages samples into pixels."""
+"""Renders surfaces and leaves: finds the visible points, lights them, and averages samples into pixels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int64s
 from octex.cameras.camera import Camera, as_size
 from octex.checks import as_whole
-from octex.drawing.hits import Hits, Seen
+from octex.drawing.hits import CameraView, Hits
 from octex.drawing.reflection import reflected, tone_mapped
 from octex.drawing.shaders import Appearance, Bump, Shader, Shown, field_slopes
 from octex.drawing.soft_light import background
@@ -57,7 +57,7 @@ def as_supersample(supersample: int) -> int:
 
 
 def render_surface(
-    surface: Surface, camera: Camera, look: Shader, supersample: int = 3, light: Environment | None = None
+    surface: Surface, camera: Camera, shader: Shader, supersample: int = 3, light: Environment | None = None
 ) -> Float32s:
     """Draw a surface with a shader; return linear light (height, width, 3).
 
@@ -66,52 +66,55 @@ def render_surface(
 
     Transparent samples show up to 64 layers behind them, then the background.
     """
-    return film_surface(surface, camera, [look], supersample, light)[0].image()
+    return film_surface(surface, camera, [shader], supersample, light)[0].image()
 
 
 def film_surface(
     surface: Surface,
     camera: Camera,
-    looks: list[Shader],
+    shaders: list[Shader],
     supersample: int,
     light: Environment | None = None,
 ) -> list[Film]:
     """Render a surface to one film a shader, layer by layer where a shader is transparent."""
-    films = [Film(camera, supersample) for _ in looks]
-    seen = Seen(surface, camera.scaled(supersample))
+    films = [Film(camera, supersample) for _ in shaders]
+    view = CameraView(surface, camera.scaled(supersample))
     layer: Buffers | None = None
 
     def appear(layer: Buffers, pixels: Int64s) -> list[Appearance]:
-        hits, points = seen.hits(pixels, layer)
-        normals = seen.normals(hits)
-        return [lit(_turned(look(hits), seen, hits), light, camera, points, *normals) for look in looks]
+        hits, points = view.hits(pixels, layer)
+        normals = view.normals(hits)
+        return [
+            lit(_with_posed_normals(shader(hits), view, hits), light, camera, points, *normals)
+            for shader in shaders
+        ]
 
     with workers() as executor:
         for _ in range(_LAYERS):
-            layer = z_buffer(surface.vertices, surface.triangles, seen.camera, executor, behind=layer)
-            opened = np.zeros(layer.triangle.shape, np.bool_)
-            blocks = seen.blocks(layer)
+            layer = z_buffer(surface.vertices, surface.triangles, view.camera, executor, behind=layer)
+            translucent = np.zeros(layer.triangle.shape, np.bool_)
+            blocks = view.blocks(layer)
             shaded = ordered_map(executor, partial(appear, layer), blocks, window=2 * cpu_count())
             for pixels, appearances in zip(blocks, shaded, strict=True):
                 for film, appearance in zip(films, appearances, strict=True):
-                    opened.ravel()[pixels] |= film.add(pixels, appearance)
-            if not opened.any():
+                    translucent.ravel()[pixels] |= film.add(pixels, appearance)
+            if not translucent.any():
                 break
-            layer.triangle[~opened] = -1
+            layer.triangle[~translucent] = -1
     return films
 
 
-def _turned(appearance: Appearance, seen: Seen, hits: Hits) -> Appearance:
+def _with_posed_normals(appearance: Appearance, view: CameraView, hits: Hits) -> Appearance:
     """Return an appearance whose normals, if it has any, are turned to the posed surface."""
-    if appearance.normals is None or not seen.is_posed:
+    if appearance.normals is None or not view.is_posed:
         return appearance
-    surface, rows = seen.surface, np.arange(3 * len(hits.triangles), dtype=np.int32).reshape(-1, 3)
+    surface, rows = view.surface, np.arange(3 * len(hits.triangles), dtype=np.int32).reshape(-1, 3)
     corners = surface.triangles[hits.triangles]
     resting, posed = surface.rest[corners].reshape(-1, 3), surface.vertices[corners].reshape(-1, 3)
     normals = Corners(np.repeat(appearance.normals, 3, axis=0).astype(np.float32), rows)
     tangents = Corners(np.tile(np.array([1, 0, 0, 1], np.float32), (1, 1)), np.zeros_like(rows))
-    turned = carried(Frames(normals, tangents), rows, resting, posed).normals.values[::3]
-    return appearance._replace(normals=turned)
+    rotated = carried(Frames(normals, tangents), rows, resting, posed).normals.values[::3]
+    return appearance._replace(normals=rotated)
 
 
 def lit(
@@ -133,8 +136,8 @@ def lit(
     light_reflected = reflected(light, camera, points, faces, normals, appearance)
     if not light.tone_mapped:
         return appearance._replace(reflected=light_reflected)
-    seen: Floats = light_reflected if appearance.emitted is None else light_reflected + appearance.emitted
-    return appearance._replace(reflected=tone_mapped(seen), emitted=None)
+    total: Floats = light_reflected if appearance.emitted is None else light_reflected + appearance.emitted
+    return appearance._replace(reflected=tone_mapped(total), emitted=None)
 
 
 class Film:
@@ -145,21 +148,21 @@ class Film:
         self._supersample = supersample
         self._sums = np.zeros((camera.height * camera.width, 4))
         # Transmittance of each sample.
-        self._passed = np.ones(camera.height * camera.width * supersample**2, np.float32)
+        self._transmittance = np.ones(camera.height * camera.width * supersample**2, np.float32)
 
     def add(self, samples: Int64s, appearance: Appearance) -> Bools:
         """Add lit samples, numbered row by row; return which ones are still transparent (n,)."""
-        opened = np.empty(len(samples), np.bool_)
-        parts = ((appearance.reflected, (0, 3)), (appearance.emitted, (0, 3)), (appearance.coverage, 0))
+        is_translucent = np.empty(len(samples), np.bool_)
+        columns = ((appearance.reflected, (0, 3)), (appearance.emitted, (0, 3)), (appearance.coverage, 0))
         reflected, emitted, coverage = (
             np.ascontiguousarray(np.empty(shape) if part is None else part, np.float32)
-            for part, shape in parts
+            for part, shape in columns
         )
         _expose(
             samples, self._shape[1], self._supersample, reflected, emitted, coverage,
-            self._passed, self._sums, opened,
+            self._transmittance, self._sums, is_translucent,
         )  # fmt: skip
-        return opened
+        return is_translucent
 
     def exposure(self) -> tuple[Float64s, Float64s]:
         """Return the pixels' light (height, width, 3), multiplied by coverage, and their coverage."""
@@ -175,23 +178,23 @@ class Film:
 @kernel
 def _expose(
     samples: Int64s, width: int, supersample: int, reflected: Float32s, emitted: Float32s, coverage: Float32s,
-    passed: Float32s, sums: Float64s, opened: Bools,
+    transmittance: Float32s, sums: Float64s, is_translucent: Bools,
 ) -> None:  # fmt: skip
     """Add samples to pixels, ``width`` in a row. Empty light arrays mean none; empty coverage means 1."""
     for n in range(len(samples)):
         row, column = divmod(samples[n], width * supersample)
         pixel = row // supersample * width + column // supersample
-        before = passed[samples[n]]
+        arriving = transmittance[samples[n]]
         opacity = coverage[n] if len(coverage) else np.float32(1.0)
-        part, left = before * opacity, before * (np.float32(1.0) - opacity)
+        part, remaining = arriving * opacity, arriving * (np.float32(1.0) - opacity)
         for lane in range(3):
             if len(reflected):
                 sums[pixel, lane] += float(reflected[n, lane]) * part
             if len(emitted):
                 sums[pixel, lane] += float(emitted[n, lane]) * part
         sums[pixel, 3] += part
-        passed[samples[n]] = left
-        opened[n] = left > _OPAQUE
+        transmittance[samples[n]] = remaining
+        is_translucent[n] = remaining > _OPAQUE
 
 
 class Leaves(NamedTuple):
@@ -241,7 +244,7 @@ class Leaves(NamedTuple):
         filter: str = "quadratic",
     ) -> Appearance:
         """Return a texture's appearance at the leaf centres; see ``texture_shader``."""
-        formats = (stored.format for stored in texture.channels.values())
+        formats = (channel_data.format for channel_data in texture.channels.values())
         shown = Shown.of(formats, channel, materials=materials)
         appearance = shown.appearance(texture.sample(self.centres, shown.names, filter=filter))
         if bump is None:
@@ -290,23 +293,23 @@ def film_leaves(
     """Render leaves, or their ``cubes``, to a film; ``buffers`` is their z-buffer."""
     film = Film(camera, supersample)
     for _ in range(_LAYERS):
-        opened = np.zeros(buffers.cube.shape, np.bool_)
-        drawn = np.flatnonzero(buffers.cube >= 0)
-        for first in range(0, len(drawn), _BLOCK):
-            samples = drawn[first : first + _BLOCK]
+        translucent = np.zeros(buffers.cube.shape, np.bool_)
+        visible = np.flatnonzero(buffers.cube >= 0)
+        for first in range(0, len(visible), _BLOCK):
+            samples = visible[first : first + _BLOCK]
             leaf = buffers.cube.ravel()[samples]
             normals = np.eye(3)[buffers.axis.ravel()[samples]] if cubes else leaves.normals[leaf]
-            here = Appearance(*(None if part is None else part[leaf] for part in appearance))
-            here = lit(here, light, camera, leaves.corners[leaf], normals, normals)
+            shaded = Appearance(*(None if part is None else part[leaf] for part in appearance))
+            shaded = lit(shaded, light, camera, leaves.corners[leaf], normals, normals)
             if cubes:  # draw the edges that separate them
                 on_edge = buffers.border.ravel()[samples, None] < _EDGE
                 dimmed = np.where(on_edge, np.float32(0.75), np.float32(1.0))
-                reflected, emitted = (None if part is None else part * dimmed for part in here[:2])
-                here = here._replace(reflected=reflected, emitted=emitted)
-            opened.ravel()[samples] = film.add(samples, here)
-        if not opened.any():
+                reflected, emitted = (None if part is None else part * dimmed for part in shaded[:2])
+                shaded = shaded._replace(reflected=reflected, emitted=emitted)
+            translucent.ravel()[samples] = film.add(samples, shaded)
+        if not translucent.any():
             break
-        behind = buffers._replace(cube=np.where(opened, buffers.cube, np.int32(-1)))
+        behind = buffers._replace(cube=np.where(translucent, buffers.cube, np.int32(-1)))
         buffers = rasterize_cubes(leaves.corners, leaves.edges, camera.scaled(supersample), behind)
     return film
 

@@ -71,8 +71,8 @@ def tone_mapped(light: Floats) -> Float64s:
     room = 1.0 - _COMPRESSED
     beyond = np.maximum(peak - _COMPRESSED, 0.0)
     lower = np.where(beyond > 0.0, 1.0 - room * room / (beyond + room), peak)
-    kept = 1.0 / (_DESATURATION * (peak - lower) + 1.0)
-    return np.asarray(lower + (color * (lower / np.maximum(peak, 1e-12)) - lower) * kept)
+    saturation = 1.0 / (_DESATURATION * (peak - lower) + 1.0)
+    return np.asarray(lower + (color * (lower / np.maximum(peak, 1e-12)) - lower) * saturation)
 
 
 @cache
@@ -131,8 +131,8 @@ def _reflect(
         x, y, z = unit((normals[n, 0] * side, normals[n, 1] * side, normals[n, 2] * side))
         cosine = x * vx + y * vy + z * vz
         if cosine < _GRAZING:
-            lack = _GRAZING - cosine
-            x, y, z = unit((x + lack * vx, y + lack * vy, z + lack * vz))
+            shortfall = _GRAZING - cosine
+            x, y, z = unit((x + shortfall * vx, y + shortfall * vy, z + shortfall * vz))
             cosine = max(x * vx + y * vy + z * vz, _GRAZING)
         metallic, roughness = materials[n, 3], materials[n, 4]
         slope, bias = _reflectance(table, cosine, roughness)
@@ -143,9 +143,9 @@ def _reflect(
             base, first = materials[n, c], materials[n, 6 + c]
             once, again = _scattered(first, slope, bias * min(first / _DARKEST, 1.0))
             metal, metal_again = _scattered(base, slope, bias)
-            plain = once * glossy[c] + (again + base * (1.0 - once - again)) * matte[c]
-            shiny = metal * glossy[c] + metal_again * matte[c]
-            lit[n, c] = materials[n, 5] * (plain + (shiny - plain) * metallic)
+            dielectric = once * glossy[c] + (again + base * (1.0 - once - again)) * matte[c]
+            conductor = metal * glossy[c] + metal_again * matte[c]
+            lit[n, c] = materials[n, 5] * (dielectric + (conductor - dielectric) * metallic)
 
 
 @inlined

@@ -26,13 +26,13 @@ class Appearance(NamedTuple):
 
     reflected: Floats | None = None  # (n, 3)   of white light; None: nothing
     emitted: Floats | None = None  # (n, 3)   whatever the light
-    coverage: Floats | None = None  # (n,)   the rest is what lies behind; None: all covered
+    coverage: Floats | None = None  # (n,)   the rest shows the surface behind; None: all covered
     normals: Floats | None = None  # (n, 3)   at rest, to light them by; None: those of the surface
-    # How light is reflected that comes from all around; None is glTF's own for a surface that is no metal.
+    # How light is reflected that comes from all around; None is glTF's value for a non-metal.
     metallic: Floats | None = None  # (n,)   None: 0
     roughness: Floats | None = None  # (n,)   None: 1
     occlusion: Floats | None = None  # (n,)   how much of the light reaches it; None: 1
-    specular: Floats | None = None  # (n, 3)   of what is no metal, reflected along the normal; None: 0.04
+    specular: Floats | None = None  # (n, 3)   reflectance of non-metals along the normal; None: 0.04
 
     def bent(self, normals: Floats, slopes: Float64s) -> Appearance:
         """Return it with its normals, or else ``normals`` (n, 3), bent against ``slopes`` (n, 3).
@@ -146,10 +146,10 @@ def source_shader(
     Raises ArgumentError for an unknown channel.
     """
     shown = Shown.of(surface.channels, channel, materials=materials)
-    whole, surface = surface, surface.with_channels(shown.names)
-    height = None if bump is None else whole.with_channels([_bumping(bump, whole.channels)])
+    unreduced, surface = surface, surface.with_channels(shown.names)
+    height = None if bump is None else unreduced.with_channels([_bumping(bump, unreduced.channels)])
 
-    def look(hits: Hits) -> Appearance:
+    def shade(hits: Hits) -> Appearance:
         values = surface.evaluate_all(hits.triangles, hits.barycentric, hits.width)
         appearance = shown.appearance(by_channel(surface.channels, values))
         if height is None or bump is None:
@@ -159,14 +159,14 @@ def source_shader(
         for step in (hits.dPdx, hits.dPdy):
             half = 0.5 * _shares(corners, step)
             before, after = (
-                height.evaluate_all(hits.triangles, hits.barycentric + way, hits.width)
-                for way in (-half, half)
+                height.evaluate_all(hits.triangles, hits.barycentric + offset, hits.width)
+                for offset in (-half, half)
             )
             channels = [by_channel(height.channels, each)[bump[0]] for each in (before, after)]
             rises.append(_luminance(channels[1]) - _luminance(channels[0]))
         return appearance.bent(hits.normals, bump[1] * _gradient(hits, *rises))
 
-    return look
+    return shade
 
 
 def texture_shader(
@@ -184,7 +184,7 @@ def texture_shader(
     if bump is not None:
         _bumping(bump, formats)
 
-    def look(hits: Hits) -> Appearance:
+    def shade(hits: Hits) -> Appearance:
         values = texture.sample(hits.rest, shown.names, dPdx=hits.dPdx, dPdy=hits.dPdy, normals=hits.normals)
         if lies_on is not None:
             values[ALPHA.name][~lies_on(hits.rest)] = 0.0
@@ -193,7 +193,7 @@ def texture_shader(
             return appearance
         return appearance.bent(hits.normals, field_slopes(texture, bump, hits.rest, hits.normals, hits.width))
 
-    return look
+    return shade
 
 
 def _bumping(bump: Bump, formats: Iterable[ChannelFormat]) -> str:
@@ -224,8 +224,8 @@ def _gradient(hits: Hits, right: Float64s, down: Float64s) -> Float64s:
     """Return the gradient (n, 3), along the surface at rest, from the change to the next samples."""
     normal = np.cross(hits.dPdx, hits.dPdy)
     square = np.maximum(np.einsum("nc,nc->n", normal, normal), 1e-300)[:, None]
-    ways = np.cross(hits.dPdy, normal) * right[:, None] + np.cross(normal, hits.dPdx) * down[:, None]
-    return np.asarray(ways / square)
+    sums = np.cross(hits.dPdy, normal) * right[:, None] + np.cross(normal, hits.dPdx) * down[:, None]
+    return np.asarray(sums / square)
 
 
 def field_slopes(

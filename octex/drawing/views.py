@@ -62,8 +62,8 @@ def render(
 
     Returns an sRGB image (height, width, 3) over a grey backdrop, uint8. Transparent surface shows the
     surface behind it. Raises ArgumentError for neither a texture nor a surface, without leaves or channels to
-    draw, for an unknown channel, ``level`` or ``cubes`` without a texture and ``bump`` on cubes; OutputError
-    if the file cannot be written.
+    draw, and for an unknown channel. Also for ``level`` or ``cubes`` without a texture and for ``bump`` on
+    cubes. Raises OutputError if the file cannot be written.
     """
     if texture is None and surface is None:
         raise ArgumentError("an image needs a texture, a surface or both")

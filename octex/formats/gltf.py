@@ -59,16 +59,18 @@ def write(surface: Surface, target: Target) -> Written:
             file.write(struct.pack("<II", size, _BIN))
             file.writelines(content.arrays)
         return Written([path], image_bytes)
-    names, arrays = content.names(path.stem), path.with_name(f"{path.stem}.bin")
-    parts = [(path.with_name(name), [data]) for name, (data, _) in zip(names, content.images, strict=True)]
+    names = image_names(content.materials, path.stem, content.images)
+    arrays = path.with_name(f"{path.stem}.bin")
+    datas = ([data] for data, _ in content.images)
+    image_files = list(zip(map(path.with_name, names), datas, strict=True))
     if octree is not None:
-        parts.append((path.with_suffix(".octw"), [octree]))
-        content.carry(_named(parts[-1][0].name))
-    words = content.finish(_named(arrays.name), lambda number: _named(names[number]))
-    for place, blocks in [*parts, (arrays, content.arrays), (path, [words])]:
-        with replacing(place) as file:
+        image_files.append((path.with_suffix(".octw"), [octree]))
+        content.carry(_reference(image_files[-1][0].name))
+    words = content.finish(_reference(arrays.name), lambda number: _reference(names[number]))
+    for file_path, blocks in [*image_files, (arrays, content.arrays), (path, [words])]:
+        with replacing(file_path) as file:
             file.writelines(blocks)
-    return Written([path, arrays, *(place for place, _ in parts)], image_bytes)
+    return Written([path, arrays, *(file_path for file_path, _ in image_files)], image_bytes)
 
 
 class _Content:
@@ -90,18 +92,17 @@ class _Content:
         """Add a surface as the one mesh."""
         self._frames = surface.posed_frames()
         self._origin = origin_of(surface.vertices)
-        materials, owners = source.materials, source.triangle_materials
         primitives = []
-        used = np.unique(owners).tolist()
-        self._used = [materials[n] for n in used]
-        self.images, self._numbers = encoded_images(self._used, self._format)
+        used = np.unique(source.triangle_materials).tolist()
+        self.materials = [source.materials[n] for n in used]
+        self.images, self._numbers = encoded_images(self.materials, self._format)
         self._textures: dict[tuple[object, ...], int] = {}
-        self.json["materials"] = [self._material(each) for each in self._used]
-        for number, material in enumerate(self._used):
-            chosen = np.flatnonzero(owners == used[number])
+        self.json["materials"] = [self._material(each) for each in self.materials]
+        for number, material in enumerate(self.materials):
+            triangles = np.flatnonzero(source.triangle_materials == used[number])
             normal = material.inputs.get("normal")
             has_map = normal is not None and normal.texture is not None
-            primitives.append({**self._primitive(surface, source, chosen, has_map), "material": number})
+            primitives.append({**self._primitive(surface, source, triangles, has_map), "material": number})
         name = Path(surface.name).stem
         self.json["meshes"] = [{"name": name, "primitives": primitives}]
         self.json["nodes"] = [{"name": name, "mesh": 0}]
@@ -113,38 +114,37 @@ class _Content:
             self.json["extensionsRequired"] = ["EXT_texture_webp"]
 
     def _primitive(
-        self, surface: Surface, source: MaterialSource, chosen: Integers, has_normal_map: bool
+        self, surface: Surface, source: MaterialSource, triangles: Integers, has_normal_map: bool
     ) -> dict[str, Any]:
         """Add triangles with the data of their corners; equal corners become one vertex."""
-        bound = {f"TEXCOORD_{slot}": each for slot, each in enumerate(source.coordinates)}
+        columns = {f"TEXCOORD_{slot}": column for slot, column in enumerate(source.coordinates)}
         if source.colors is not None:
-            bound["COLOR_0"] = source.colors
+            columns["COLOR_0"] = source.colors
         if self._frames is not None:
-            bound["NORMAL"] = self._frames.normals
+            columns["NORMAL"] = self._frames.normals
             if has_normal_map:
-                bound["TANGENT"] = self._frames.tangents
-        corners = np.stack(
-            [surface.triangles[chosen], *(each.rows[chosen] for each in bound.values())], axis=-1
-        )
-        distinct, indices = distinct_rows(corners.reshape(-1, corners.shape[-1]))
-        positions = surface.vertices[distinct[:, 0]] - self._origin
+                columns["TANGENT"] = self._frames.tangents
+        rows = [surface.triangles, *(column.rows for column in columns.values())]
+        corners = np.stack([each[triangles] for each in rows], axis=-1)
+        vertices, indices = distinct_rows(corners.reshape(-1, corners.shape[-1]))
+        positions = surface.vertices[vertices[:, 0]] - self._origin
         attributes = {"POSITION": self._array(positions.astype("<f4"), limits=True)}
-        for number, (name, each) in enumerate(bound.items(), 1):
-            attributes[name] = self._array(each.values[distinct[:, number]].astype("<f4"))
-        at_rest = self._at_rest(surface, distinct[:, 0])
-        corners_at = self._array(indices.astype("<u4"), _ELEMENTS)
-        return {"attributes": attributes, "indices": corners_at, **at_rest}
+        for number, (name, column) in enumerate(columns.items(), 1):
+            attributes[name] = self._array(column.values[vertices[:, number]].astype("<f4"))
+        at_rest = self._at_rest(surface, vertices[:, 0])
+        accessor = self._array(indices.astype("<u4"), _ELEMENTS)
+        return {"attributes": attributes, "indices": accessor, **at_rest}
 
     def _at_rest(self, surface: Surface, vertices: Integers) -> dict[str, Any]:
         """Return the extension for the vertices' rest positions in the octree's root cell, if they differ."""
         if self._octree is None:
             return {}
         origin, size = self._octree.placement
-        found: dict[str, Any] = {"octree": 0, "scale": 1.0 / size}
-        found["offset"] = ((self._origin - origin) / size).tolist()
+        extension: dict[str, Any] = {"octree": 0, "scale": 1.0 / size}
+        extension["offset"] = ((self._origin - origin) / size).tolist()
         if surface.rest is not surface.vertices:
-            found["rest"] = self._array((surface.rest[vertices] - self._origin).astype("<f4"))
-        return {"extensions": {OCTREE_EXTENSION: found}}
+            extension["rest"] = self._array((surface.rest[vertices] - self._origin).astype("<f4"))
+        return {"extensions": {OCTREE_EXTENSION: extension}}
 
     def carry(self, file: Mapping[str, Any]) -> None:
         """Refer to the octree's web file."""
@@ -211,22 +211,22 @@ class _Content:
         pbr: dict[str, Any] = {"baseColorFactor": [*color.factor, *alpha.factor]}
         for name, factor in (("metallic", "metallicFactor"), ("roughness", "roughnessFactor")):
             pbr[factor] = inputs[name].factor[0] if name in inputs else float(name == "roughness")
-        for pair, word in (
+        for pair, key in (
             (("base_color", "alpha"), "baseColorTexture"),
             (("metallic", "roughness"), "metallicRoughnessTexture"),
         ):
-            read = _in_one_image(inputs, pair)
-            if read is not None:
-                pbr[word] = self._texture(read)
-        made: dict[str, Any] = {"pbrMetallicRoughness": pbr}
+            textured = _in_one_image(inputs, pair)
+            if textured is not None:
+                pbr[key] = self._texture(textured)
+        entry: dict[str, Any] = {"pbrMetallicRoughness": pbr}
         if material.name:
-            made["name"] = material.name
+            entry["name"] = material.name
         if material.double_sided:
-            made["doubleSided"] = True
+            entry["doubleSided"] = True
         if material.alpha_mode != "opaque":
-            made["alphaMode"] = material.alpha_mode.upper()
+            entry["alphaMode"] = material.alpha_mode.upper()
         if material.alpha_mode == "mask":
-            made["alphaCutoff"] = material.cutoff
+            entry["alphaCutoff"] = material.cutoff
         textures = {
             name: self._texture(inputs[name])
             for name in ("occlusion", "normal", "emissive", "specular")
@@ -234,14 +234,14 @@ class _Content:
         }
         extensions: dict[str, Any] = {}
         if "occlusion" in textures:
-            made["occlusionTexture"] = textures["occlusion"]
+            entry["occlusionTexture"] = textures["occlusion"]
         if "normal" in textures:
-            made["normalTexture"] = {**textures["normal"], "scale": inputs["normal"].factor[0]}
+            entry["normalTexture"] = {**textures["normal"], "scale": inputs["normal"].factor[0]}
         if "emissive" in inputs:
             strength = max(1.0, *inputs["emissive"].factor)
-            made["emissiveFactor"] = [each / strength for each in inputs["emissive"].factor]
+            entry["emissiveFactor"] = [each / strength for each in inputs["emissive"].factor]
             if "emissive" in textures:
-                made["emissiveTexture"] = textures["emissive"]
+                entry["emissiveTexture"] = textures["emissive"]
             if strength > 1.0:
                 extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}
         if "specular" in inputs:
@@ -250,9 +250,9 @@ class _Content:
             if "specular" in textures:
                 extensions["KHR_materials_specular"]["specularColorTexture"] = textures["specular"]
         if extensions:
-            made["extensions"] = extensions
+            entry["extensions"] = extensions
             self._extensions |= extensions.keys()
-        return made
+        return entry
 
     def finish(self, buffer: Mapping[str, Any], place: Callable[[int], dict[str, Any]]) -> bytes:
         """Return the JSON; ``place`` returns where the image with a number is."""
@@ -262,10 +262,6 @@ class _Content:
         self.json["bufferViews"] = self._views
         return json.dumps(self.json, separators=(",", ":")).encode()
 
-    def names(self, stem: str) -> list[str]:
-        """Return the names of the images' files."""
-        return image_names(self._used, stem, self.images)
-
     def embed(self, number: int) -> dict[str, Any]:
         """Put an image into the buffer, and return the reference to it."""
         data, ending = self.images[number]
@@ -274,15 +270,15 @@ class _Content:
 
 def _in_one_image(inputs: Mapping[str, Input], pair: tuple[str, str]) -> Input | None:
     """Return an input with the image of two channels, in which a number is 1; None if both are numbers."""
-    plain = {"base_color": Input((1.0,) * 3)}
-    present = {name: each for name, each in {**plain, **inputs}.items() if name in pair}
-    read = [each for each in present.values() if each.texture is not None]
-    texels = [each.texture.texels for each in read if each.texture is not None]
+    defaults = {"base_color": Input((1.0,) * 3)}
+    present = {name: each for name, each in {**defaults, **inputs}.items() if name in pair}
+    textured = [each for each in present.values() if each.texture is not None]
+    texels = [each.texture.texels for each in textured if each.texture is not None]
     numbers = [name for name, each in present.items() if each.texture is None and name != "alpha"]
     is_one = all(each is texels[0] for each in texels)
     if texels and not (is_one and all((texels[0][..., _LANES[name]] == 65535).all() for name in numbers)):
         raise ModelError(f"glTF needs {pair[0]} and {pair[1]} in one image; bake them first")
-    return read[0] if read else None
+    return textured[0] if textured else None
 
 
 #: Lanes in which glTF reads a channel from its texture.
@@ -292,6 +288,6 @@ _LANES = {
 }  # fmt: skip
 
 
-def _named(file: str) -> dict[str, Any]:
+def _reference(file: str) -> dict[str, Any]:
     """Return the reference to a file next to the .gltf."""
     return {"uri": urllib.parse.quote(os.fsencode(file))}

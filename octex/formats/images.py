@@ -50,9 +50,9 @@ def encoded_images(
             if item.texture is not None:
                 key = id(item.texture.texels)
                 texels[key] = item.texture.texels
-                read = channels.setdefault(key, set())
+                names = channels.setdefault(key, set())
                 if name != "alpha" or material.alpha_mode != "opaque":
-                    read.add(name)
+                    names.add(name)
 
     def encoded(key: int) -> tuple[bytes, FileFormat]:
         lanes = slice(4 if "alpha" in channels[key] else 3)
@@ -81,33 +81,33 @@ def image_file(
     """
     if (texels.dtype == np.float32) != (form == "exr"):
         raise ModelError("only exr holds images of floats; bake with 32 bits for exr, else with fewer")
-    chosen = texels[..., lanes]
+    stored = texels[..., lanes]
     if form == "exr":
-        return _exr_file(chosen), form
-    codes: Uint8s = np.empty(chosen.shape, np.uint8)
-    count = chosen.shape[2]
-    is_deep = _bytes_of(chosen, codes)
-    made: FileFormat = "png" if form == "jpeg" and count == 4 else form
-    if is_deep and made == "png":
-        return _png16_file(chosen), made
+        return _exr_file(stored), form
+    codes: Uint8s = np.empty(stored.shape, np.uint8)
+    count = stored.shape[2]
+    is_deep = _bytes_of(stored, codes)
+    file_form: FileFormat = "png" if form == "jpeg" and count == 4 else form
+    if is_deep and file_form == "png":
+        return _png16_file(stored), file_form
     image = PIL.Image.fromarray(codes[..., 0] if count == 1 else codes)
     file = io.BytesIO()
-    image.save(file, made, **_SETTINGS[made])
-    return file.getvalue(), made
+    image.save(file, file_form, **_SETTINGS[file_form])
+    return file.getvalue(), file_form
 
 
 @kernel
 def _bytes_of(texels: Uint16s, codes: Uint8s) -> bool:
     """Write 16-bit integers as 8-bit ones; return whether any lies between two of these."""
-    between = False
+    has_between = False
     for row in range(codes.shape[0]):
         for column in range(codes.shape[1]):
             for lane in range(codes.shape[2]):
                 code16 = np.uint32(texels[row, column, lane])
                 code = (code16 + np.uint32(128)) // np.uint32(257)
-                between |= code * np.uint32(257) != code16
+                has_between |= code * np.uint32(257) != code16
                 codes[row, column, lane] = code
-    return between
+    return has_between
 
 
 def _png16_file(texels: Uint16s) -> bytes:
@@ -152,9 +152,9 @@ def _exr_file(texels: Float32s) -> bytes:
     for first in range(0, height, _EXR_ROWS):
         lines = texels[first : first + _EXR_ROWS, :, order].transpose(0, 2, 1)
         raw = np.ascontiguousarray(lines, "<f4").view(np.uint8).reshape(-1)
-        apart = np.concatenate([raw[0::2], raw[1::2]]).astype(np.int16)
-        apart[1:] = apart[1:] - apart[:-1] + 128  # differences around 128
-        packed = zlib.compress((apart & 255).astype(np.uint8).tobytes(), _LEVEL)
+        halves = np.concatenate([raw[0::2], raw[1::2]]).astype(np.int16)
+        halves[1:] = halves[1:] - halves[:-1] + 128  # differences around 128
+        packed = zlib.compress((halves & 255).astype(np.uint8).tobytes(), _LEVEL)
         data = packed if len(packed) < raw.size else raw.tobytes()
         blocks.append(struct.pack("<iI", first, len(data)) + data)
     places = len(head) + 8 * len(blocks) + np.cumsum([0, *map(len, blocks[:-1])])
@@ -163,13 +163,13 @@ def _exr_file(texels: Float32s) -> bytes:
 
 def image_names(materials: Sequence[Material], stem: str, files: Sequence[tuple[bytes, str]]) -> list[str]:
     """Return the file names of the images that materials read, in the order of `encoded_images`."""
-    named: dict[int, str] = {}
+    names: dict[int, str] = {}
     for material in materials:
         for channel, item in material.inputs.items():
             if item.texture is not None:
-                key, number = id(item.texture.texels), str(len(named))
-                named.setdefault(key, image_name(stem, material, channel, number))
-    return [f"{name}.{ending}" for name, (_, ending) in zip(named.values(), files, strict=True)]
+                key, number = id(item.texture.texels), str(len(names))
+                names.setdefault(key, image_name(stem, material, channel, number))
+    return [f"{name}.{ending}" for name, (_, ending) in zip(names.values(), files, strict=True)]
 
 
 def image_name(stem: str, material: Material, channel: str, otherwise: str) -> str:

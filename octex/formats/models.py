@@ -109,7 +109,7 @@ def origin_of(vertices: Float64s) -> Float64s:
 
 
 def check_written(path: Path, images: ImageFormat) -> str:
-    """Return the module that writes a file with images; raise what ``write_model`` does if there is none."""
+    """Return the module that writes a file with images; raises errors like ``write_model``."""
     writer = _WRITERS.get(path.suffix.lower())
     if writer is None:
         raise ArgumentError(

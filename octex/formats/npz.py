@@ -35,9 +35,9 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
     ``octex.PointCloud.load`` reads such a file. Raises OutputError if it cannot be written, ArgumentError for
     a channel that has the name of another array, and TextureFileError if the tree is damaged.
     """
-    none = Leaves(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.uint8))
-    nothing = LeafPoints(none, np.empty((0, 3)), np.empty((0, 3), np.float32))
-    blocks = [nothing, *leaf_points(texture, path, progress)]  # an empty texture yields none
+    no_leaves = Leaves(np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0, np.uint8))
+    no_points = LeafPoints(no_leaves, np.empty((0, 3)), np.empty((0, 3), np.float32))
+    blocks = [no_points, *leaf_points(texture, path, progress)]  # an empty texture yields none
     columns = zip(*(each.leaves for each in blocks), strict=True)
     leaves = Leaves(*(np.concatenate(column) for column in columns))
     points = np.concatenate([each.centres for each in blocks])
@@ -52,7 +52,11 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
         "origin": np.array(texture.placement.origin, np.float64),
         "size": np.array(texture.placement.size, np.float64),
     }
-    taken = {*arrays, "file", "allow_pickle"} & texture.channels.keys()  # the last two are numpy's parameters
+    taken = {
+        *arrays,
+        "file",
+        "allow_pickle",
+    } & texture.channels.keys()  # the last two are numpy's parameters
     if taken:
         raise ArgumentError(
             f"{path}: a .npz file uses the name {min(taken)!r} itself; leave that channel out "

@@ -55,8 +55,9 @@ def write(surface: Surface, target: Target) -> Written:
             lines.append("f " + " ".join(separator.join(map(str, corner)) for corner in triangle))
     with replacing(path) as file:
         file.write("\n".join([*lines, ""]).encode(errors="surrogateescape"))
-    made = [path.with_name(name) for name in written.values()]
-    return Written([path, path.with_suffix(".mtl"), *made], sum(each.stat().st_size for each in made))
+    image_files = [path.with_name(name) for name in written.values()]
+    image_bytes = sum(file.stat().st_size for file in image_files)
+    return Written([path, path.with_suffix(".mtl"), *image_files], image_bytes)
 
 
 def _names(materials: Mapping[int, Material]) -> dict[int, str]:

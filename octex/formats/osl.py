@@ -83,20 +83,20 @@ def write_osl(
     texture, path = as_texture(texture), as_path(path)
     if path.suffix.lower() != ENDING:
         raise ArgumentError(f"{path}: an OSL shader is saved as NAME{ENDING}")
-    chosen = _chosen(texture, path, channels)
+    names = _chosen(texture, path, channels)
     texture = _of_one_depth(texture, path)
-    planes = list(_planes([texture.channels[name].format for name in chosen]))
+    planes = list(_planes([texture.channels[name].format for name in names]))
     image = path.with_name(f"{path.name}.tif")
     tree = texture.tree
-    extra = tree.split.cells.size + tree.split.areas.size
-    first, rows = (-(-count // _WIDTH) * _WIDTH for count in (max(tree.n_nodes, 1), tree.n_cells + extra))
+    n_rows = tree.split.cells.size + tree.split.areas.size
+    first, rows = (-(-count // _WIDTH) * _WIDTH for count in (max(tree.n_nodes, 1), tree.n_cells + n_rows))
     texels = np.zeros((first + rows * len(planes) + _WIDTH, 4), np.uint16)
     texels[-_WIDTH:] = 65535  # tells the shader which way up the renderer reads
     texels[: tree.n_nodes] = _nodes(texture)
     ranges: dict[str, tuple[float, float]] = {}
     for number, plane in enumerate(planes):
         begin = first + number * rows
-        _fill(texels[begin : begin + tree.n_cells + extra], texture, plane, ranges)
+        _fill(texels[begin : begin + tree.n_cells + n_rows], texture, plane, ranges)
     with replacing(image) as file:
         file.write(_tiff_file(texels.reshape(-1, _WIDTH, 4)))
     numbers = {
@@ -120,13 +120,13 @@ def write_osl(
 
 def _chosen(texture: OctreeTexture, path: os.PathLike[str], channels: Sequence[str] | None) -> list[str]:
     """Return the names of the channels to write."""
-    known = texture.channels
+    stored = texture.channels
     if channels is None:
-        names = [name for name, each in known.items() if each.format.components <= 3]
+        names = [name for name, each in stored.items() if each.format.components <= 3]
     else:
-        names = as_names(channels, "channels", known, "channel of the texture")
+        names = as_names(channels, "channels", stored, "channel of the texture")
         for name in names:
-            if known[name].format.components > 3:
+            if stored[name].format.components > 3:
                 raise ArgumentError(f"{path}: channel {name!r} has 4 components; an OSL shader has 3 at most")
     if not names:
         raise ArgumentError(f"{path}: there is no channel to write; give a texture with base_color")
@@ -138,10 +138,10 @@ def _of_one_depth(texture: OctreeTexture, path: os.PathLike[str]) -> OctreeTextu
     counts = [leaves for leaves, _ in texture.tree.cells_by_depth()]
     for depth in range(len(counts) - 1, -1, -1):
         nodes = texture.tree.arrays.level_nodes
-        here = int(nodes[depth + 1] - nodes[depth]) + sum(
+        cells = int(nodes[depth + 1] - nodes[depth]) + sum(
             leaves * 8 ** (depth - level) for level, leaves in enumerate(counts[: depth + 1])
         )
-        if 8 * here // 7 <= _MOST_CELLS:
+        if 8 * cells // 7 <= _MOST_CELLS:
             break
     if depth < len(counts) - 1:
         raise ArgumentError(
@@ -192,11 +192,8 @@ def _fill(
     alpha = np.full(len(texels), 255, np.uint16)
     if ALPHA.name in texture.channels:
         codes = (_codes(texture.channels[ALPHA.name])[0][:, 0].astype(np.uint32) + 128) // 257
-        alpha[:n_cells], alpha[firsts], alpha[n_cells:][is_facing] = (
-            codes[:n_cells],
-            codes[split.cells],
-            codes[n_cells:],
-        )
+        alpha[:n_cells], alpha[firsts] = codes[:n_cells], codes[split.cells]
+        alpha[n_cells:][is_facing] = codes[n_cells:]
     texels[:, 3] = alpha << 8
     texels[:n_cells, 3] |= tree.arrays.flags & np.uint8(FACING_FLAGS)
     texels[split.cells, 3] |= SPLIT
@@ -222,17 +219,16 @@ def _outputs(
     outputs, lines = [], []
     for number, plane in enumerate(planes):
         lines.append(f"  color o_values{number};")
-        found = f"o_cells, o_weights, o_count, o_facing, o_values{number}, o_alpha"
-        call = f"blend(File, o_turned, {number}, {found});"
-        lines.append(f"  {call}")
+        arguments = f"{number}, o_cells, o_weights, o_count, o_facing, o_values{number}, o_alpha"
+        lines.append(f"  blend(File, o_turned, {arguments});")
         for lane, channel in enumerate(plane.channels):
             form, (low, high) = texture.channels[channel].format, ranges[channel]
             scale = f"{low!r} + {high - low!r} * "
             output = output_name(channel)
             if form.components == 1:
-                found = "o_alpha" if channel == ALPHA.name else f"{scale}o_values{number}[{lane}]"
+                value = "o_alpha" if channel == ALPHA.name else f"{scale}o_values{number}[{lane}]"
                 outputs.append(f"  output float {output} = 0")
-                lines.append(f"  {output} = {found};")
+                lines.append(f"  {output} = {value};")
             elif form.space == "direction" and form.components == 3:
                 outputs.append(f"  output normal {output} = N")
                 lines.append(f"  vector o_rest{number} = tilted((vector)({scale}o_values{number}), ZUp);")
@@ -261,16 +257,16 @@ def _tiff_file(texels: Array) -> bytes:
     sizes = np.array([len(each) for each in strips], "<u4")
     # After the header and the table: the lanes' bits, then the offsets and the sizes of the strips.
     tags = 12
-    behind = 8 + 2 + 12 * tags + 4
-    at_strips = behind + 2 * lanes
-    data = at_strips + 8 * len(strips)
-    offsets = (data + np.cumsum(sizes) - sizes).astype("<u4")
-    many = len(strips) > 1
+    tail = 8 + 2 + 12 * tags + 4
+    strip_tables = tail + 2 * lanes
+    strips_begin = strip_tables + 8 * len(strips)
+    offsets = (strips_begin + np.cumsum(sizes) - sizes).astype("<u4")
+    has_several = len(strips) > 1
     entries = [
-        (256, long, 1, width), (257, long, 1, height), (258, short, lanes, behind), (259, short, 1, 8),
-        (262, short, 1, 2), (273, long, len(strips), at_strips if many else int(offsets[0])),
+        (256, long, 1, width), (257, long, 1, height), (258, short, lanes, tail), (259, short, 1, 8),
+        (262, short, 1, 2), (273, long, len(strips), strip_tables if has_several else int(offsets[0])),
         (277, short, 1, lanes), (278, long, 1, _ROWS),
-        (279, long, len(strips), at_strips + 4 * len(strips) if many else int(sizes[0])),
+        (279, long, len(strips), strip_tables + 4 * len(strips) if has_several else int(sizes[0])),
         (284, short, 1, 1), (338, short, 1, 0), (339, short, 1, 1),
     ]  # fmt: skip
     table = b"".join(struct.pack("<HHII", *each) for each in entries)

@@ -99,7 +99,7 @@ def write(surface: Surface, target: Target) -> Written:
         vertices[name] = column
     faces = np.empty(len(surface.triangles), np.dtype([("count", "u1"), ("vertices", "<i4", 3)]))
     faces["count"], faces["vertices"] = 3, surface.triangles
-    head = _header(
+    header = _header(
         [
             "comment octex: vertex colours, sRGB",
             *_vertex_lines(len(vertices), vertices.dtype),
@@ -108,7 +108,7 @@ def write(surface: Surface, target: Target) -> Written:
         ]
     )
     with replacing(target.path) as file:
-        file.write(head)
+        file.write(header)
         file.write(vertices.tobytes())
         file.write(faces.tobytes())
     return Written([target.path], 0)

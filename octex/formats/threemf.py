@@ -33,38 +33,38 @@ def write(surface: Surface, target: Target) -> Written:
     colors = needed_colors(surface, ".3mf")
     origin = origin_of(surface.vertices)
     points = (surface.vertices - origin).astype(np.float32)
-    places = welded(points)
-    triangles = places[surface.triangles]
-    solid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
-    if not solid.any():
+    vertex_of = welded(points)
+    triangles = vertex_of[surface.triangles]
+    is_solid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
+    if not is_solid.any():
         raise ModelError(f"{surface.name} has no triangles with an area; there is nothing to print")
-    positions = np.empty((int(places.max()) + 1, 3), np.float32)
-    positions[places] = points
+    positions = np.empty((int(vertex_of.max()) + 1, 3), np.float32)
+    positions[vertex_of] = points
     codes, numbers = np.unique(codes_of(colors).view(np.uint32), return_inverse=True)
     wrapper = lib3mf.get_wrapper()
     model = wrapper.CreateModel()
     model.SetUnit(getattr(lib3mf.ModelUnit, _UNITS[target.unit]))
     group = model.AddColorGroup()
     distinct = codes.view(np.uint8).reshape(-1, 4).tolist()
-    added = [group.AddColor(wrapper.RGBAToColor(*each)) for each in distinct]
+    color_numbers = [group.AddColor(wrapper.RGBAToColor(*each)) for each in distinct]
     mesh = model.AddMeshObject()
     mesh.SetName(Path(surface.name).stem)
-    mesh.SetGeometry(_items(lib3mf.Position, positions), _items(lib3mf.Triangle, triangles[solid]))
-    properties = np.empty((int(solid.sum()), 4), np.uint32)
+    mesh.SetGeometry(_items(lib3mf.Position, positions), _items(lib3mf.Triangle, triangles[is_solid]))
+    properties = np.empty((int(is_solid.sum()), 4), np.uint32)
     properties[:, 0] = group.GetResourceID()
-    properties[:, 1:] = np.array(added, np.uint32)[numbers.reshape(-1)][surface.triangles[solid]]
+    properties[:, 1:] = np.array(color_numbers, np.uint32)[numbers.reshape(-1)][surface.triangles[is_solid]]
     mesh.SetAllTriangleProperties(_items(lib3mf.TriangleProperties, properties))
-    mesh.SetObjectLevelProperty(group.GetResourceID(), added[0])
+    mesh.SetObjectLevelProperty(group.GetResourceID(), color_numbers[0])
     model.AddBuildItem(mesh, wrapper.GetTranslationTransform(*origin.tolist()))
     with scratch_folder() as folder:  # lib3mf writes only to paths
-        made = folder / "model.3mf"
-        before = locale.setlocale(locale.LC_ALL)
+        scratch = folder / "model.3mf"
+        locale_before = locale.setlocale(locale.LC_ALL)
         try:
-            model.QueryWriter("3mf").WriteToFile(str(made))
+            model.QueryWriter("3mf").WriteToFile(str(scratch))
         finally:  # lib3mf changes the process's locale to one with ASCII text
-            locale.setlocale(locale.LC_ALL, before)
+            locale.setlocale(locale.LC_ALL, locale_before)
         with replacing(target.path) as file:
-            file.write(made.read_bytes())
+            file.write(scratch.read_bytes())
     return Written([target.path], 0)
 
 

@@ -46,13 +46,13 @@ def write(surface: Surface, target: Target) -> Written:
     is_package = path.suffix.lower() == ".usdz"
     names = image_names(materials, path.stem, files)
     with scratch_folder() as folder:  # OpenUSD writes only to paths
-        places = [f"./textures/{number}.{ending}" for number, (_, ending) in enumerate(files)]
+        paths = [f"./textures/{number}.{ending}" for number, (_, ending) in enumerate(files)]
         if is_package:
             (folder / "textures").mkdir()
-            for place, (data, _) in zip(places, files, strict=True):
-                (folder / place).write_bytes(data)
-        made = folder / ("model.usdc" if is_package else f"model{path.suffix.lower()}")
-        stage = Usd.Stage.CreateNew(str(made))
+            for image, (data, _) in zip(paths, files, strict=True):
+                (folder / image).write_bytes(data)
+        scratch = folder / ("model.usdc" if is_package else f"model{path.suffix.lower()}")
+        stage = Usd.Stage.CreateNew(str(scratch))
         UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
         UsdGeom.SetStageMetersPerUnit(stage, METERS[unit])
         root = UsdGeom.Xform.Define(stage, "/model").GetPrim()
@@ -60,21 +60,21 @@ def write(surface: Surface, target: Target) -> Written:
         Usd.ModelAPI(root).SetKind("component")
         UsdGeom.Scope.Define(stage, _MATERIALS)  # first: a mesh may have the same name
         mesh = _mesh(stage, surface, source)
-        writer = _Materials(stage, numbers, places if is_package else [f"./{name}" for name in names], source)
+        writer = _Materials(stage, numbers, paths if is_package else [f"./{name}" for name in names], source)
         for number in used:
             faces = None if len(used) == 1 else np.flatnonzero(source.triangle_materials == number)
             writer.bind(mesh, writer.material(number), faces)
         stage.GetRootLayer().Save()
         if is_package:
-            made = folder / "model.usdz"
-            if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(folder / "model.usdc")), str(made)):
+            scratch = folder / "model.usdz"
+            if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(folder / "model.usdc")), str(scratch)):
                 raise ModelError(f"{path.name}: OpenUSD cannot package it; write a .usdc")
         else:
             for name, (data, _) in zip(names, files, strict=True):
                 with replacing(path.with_name(name)) as file:
                     file.write(data)
         with replacing(path) as file:
-            file.write(made.read_bytes())
+            file.write(scratch.read_bytes())
     separate = [] if is_package else [path.with_name(name) for name in names]
     return Written([path, *separate], sum(len(data) for data, _ in files))
 
@@ -132,10 +132,8 @@ def _set_name(slot: int) -> str:
 class _Materials:
     """The materials of a stage, with their networks of shaders."""
 
-    def __init__(
-        self, stage: Any, numbers: dict[int, int], places: list[str], source: MaterialSource
-    ) -> None:
-        self._stage, self._numbers, self._places, self._source = stage, numbers, places, source
+    def __init__(self, stage: Any, numbers: dict[int, int], paths: list[str], source: MaterialSource) -> None:
+        self._stage, self._numbers, self._paths, self._source = stage, numbers, paths, source
         self._shaders: dict[tuple[object, ...], Any] = {}
 
     def bind(self, mesh: Any, material: Any, faces: Any) -> None:
@@ -154,12 +152,12 @@ class _Materials:
     def material(self, number: int) -> Any:
         """Define the material with a number, under its name."""
         material = self._source.materials[number]
-        at = _free_path(self._stage, _MATERIALS, material.name or f"material{number}")
-        made = UsdShade.Material.Define(self._stage, at)
-        surface = self._shader(f"{at}/surface", "UsdPreviewSurface")
-        made.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
+        prim = _free_path(self._stage, _MATERIALS, material.name or f"material{number}")
+        usd_material = UsdShade.Material.Define(self._stage, prim)
+        surface = self._shader(f"{prim}/surface", "UsdPreviewSurface")
+        usd_material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
         inputs = dict(material.inputs)
-        if "specular" in inputs and "metallic" in inputs and _most(inputs["metallic"]) > 0.0:
+        if "specular" in inputs and "metallic" in inputs and _largest_value(inputs["metallic"]) > 0.0:
             del inputs["specular"]
         elif "specular" in inputs:
             inputs.pop("metallic", None)
@@ -170,46 +168,46 @@ class _Materials:
             surface.CreateInput("opacityThreshold", _TYPES.Float).Set(material.cutoff)
             surface.CreateInput("opacityMode", _TYPES.Token).Set("presence")
         for name in inputs:
-            self._feed(at, surface, name, inputs)
-        return made
+            self._feed(prim, surface, name, inputs)
+        return usd_material
 
-    def _shader(self, at: str, kind: str) -> Any:
-        shader = UsdShade.Shader.Define(self._stage, at)
+    def _shader(self, prim: str, kind: str) -> Any:
+        shader = UsdShade.Shader.Define(self._stage, prim)
         shader.CreateIdAttr(kind)
         return shader
 
-    def _feed(self, at: str, surface: Any, name: str, inputs: Mapping[str, Input]) -> None:
+    def _feed(self, prim: str, surface: Any, name: str, inputs: Mapping[str, Input]) -> None:
         """Connect or set a channel's input of a material's surface."""
         item, is_scalar = inputs[name], CHANNELS[name].components == 1
         kind = "Float" if is_scalar else "Normal3f" if name == "normal" else "Color3f"
-        entry = surface.CreateInput(INPUTS[name], getattr(_TYPES, kind))
+        surface_input = surface.CreateInput(INPUTS[name], getattr(_TYPES, kind))
         shader, output = None, "result"
         if name in _OF_VERTICES and self._source.colors is not None:
             if item.texture is not None or set(item.factor) != {1.0}:
                 raise ModelError("a USD material has vertex colours or an image, not both; bake it first")
-            shader = self._reader(at, *_OF_VERTICES[name])
+            shader = self._reader(prim, *_OF_VERTICES[name])
         elif item.texture is not None:
-            shader = self._texture(at, name, inputs)
+            shader = self._texture(prim, name, inputs)
             output = "rgba"[item.lanes[0]] if is_scalar else "rgb"
         if shader is not None:
             outlet = shader.CreateOutput(output, _TYPES.Float if is_scalar else _TYPES.Float3)
-            entry.ConnectToSource(outlet)
+            surface_input.ConnectToSource(outlet)
         elif name == "normal":
-            entry.Set(Gf.Vec3f(0.0, 0.0, 1.0))
+            surface_input.Set(Gf.Vec3f(0.0, 0.0, 1.0))
         else:
             values = [sum(each) for each in zip_longest(item.factor, item.offset, fillvalue=0.0)]
-            entry.Set(values[0] if is_scalar else Gf.Vec3f(*values))
+            surface_input.Set(values[0] if is_scalar else Gf.Vec3f(*values))
 
-    def _reader(self, at: str, primvar: str, kind: str) -> Any:
+    def _reader(self, prim: str, primvar: str, kind: str) -> Any:
         """Return a material's shader that reads a primvar."""
-        key = (at, primvar)
+        key = (prim, primvar)
         if key not in self._shaders:
-            shader = self._shader(f"{at}/{primvar}", f"UsdPrimvarReader_{kind}")
+            shader = self._shader(f"{prim}/{primvar}", f"UsdPrimvarReader_{kind}")
             shader.CreateInput("varname", Sdf.ValueTypeNames.String).Set(primvar)
             self._shaders[key] = shader
         return self._shaders[key]
 
-    def _texture(self, at: str, name: str, inputs: Mapping[str, Input]) -> Any:
+    def _texture(self, prim: str, name: str, inputs: Mapping[str, Input]) -> Any:
         """Return a material's shader that reads a channel's image."""
         texture = inputs[name].texture
         assert texture is not None
@@ -218,10 +216,10 @@ class _Materials:
         # Floats are linear. Alpha shares the base colour's image and is never encoded.
         is_coded = texture.texels.dtype != np.float32 and (CHANNELS[name].space == "srgb" or name == "alpha")
         space = "sRGB" if is_coded else "raw"
-        key = (at, number, space, *texture[1:], scale, bias)
+        key = (prim, number, space, *texture[1:], scale, bias)
         if key not in self._shaders:
-            shader = self._shader(f"{at}/{name}", "UsdUVTexture")
-            shader.CreateInput("file", _TYPES.Asset).Set(Sdf.AssetPath(self._places[number]))
+            shader = self._shader(f"{prim}/{name}", "UsdUVTexture")
+            shader.CreateInput("file", _TYPES.Asset).Set(Sdf.AssetPath(self._paths[number]))
             shader.CreateInput("sourceColorSpace", _TYPES.Token).Set(space)
             shader.CreateInput("wrapS", _TYPES.Token).Set(WRAPS[texture.wrap_u])
             shader.CreateInput("wrapT", _TYPES.Token).Set(WRAPS[texture.wrap_v])
@@ -229,7 +227,7 @@ class _Materials:
                 shader.CreateInput("scale", _TYPES.Float4).Set(Gf.Vec4f(*scale))
             if any(bias):
                 shader.CreateInput("bias", _TYPES.Float4).Set(Gf.Vec4f(*bias))
-            reader = self._reader(at, _set_name(texture.slot), "float2")
+            reader = self._reader(prim, _set_name(texture.slot), "float2")
             outlet = reader.CreateOutput("result", _TYPES.Float2)
             shader.CreateInput("st", _TYPES.Float2).ConnectToSource(outlet)
             self._shaders[key] = shader
@@ -250,7 +248,7 @@ def _affine(name: str, inputs: Mapping[str, Input]) -> tuple[tuple[float, ...], 
     return tuple(scale.tolist()), tuple(bias.tolist())
 
 
-def _most(item: Input) -> float:
+def _largest_value(item: Input) -> float:
     """Return the largest value of an input of one component."""
     texel = 1.0
     if item.texture is not None:

@@ -95,7 +95,7 @@ def _chunks(texture: OctreeTexture) -> Iterator[tuple[list[int] | None, bytes]]:
 
 
 def _with_bytes(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, list[float]], list[str]]:
-    """Return an 8-bit texture that a page can show, the channels' ranges, and notes on what differs."""
+    """Return an 8-bit texture that a page can show, the channels' ranges, and notes on the differences."""
     notes: list[str] = []
     ranges: dict[str, list[float]] = {}
     channels = dict(texture.channels)
@@ -127,8 +127,8 @@ def _in_range(channel: Channel) -> tuple[Channel, list[float]]:
     if (low, high) == (0.0, 1.0):
         return channel, [low, high]
     form = channel.format._replace(dtype="float32")
-    parts = [((values.astype(np.float64) - low) / (high - low)).astype(np.float32) for values in channel[1:]]
-    return Channel(form, *parts), [low, high]
+    scaled = [((values.astype(np.float64) - low) / (high - low)).astype(np.float32) for values in channel[1:]]
+    return Channel(form, *scaled), [low, high]
 
 
 def _tables(texture: OctreeTexture) -> bytes:
@@ -146,28 +146,28 @@ def _tables(texture: OctreeTexture) -> bytes:
 
 def _slots(formats: list[ChannelFormat]) -> dict[str, Any]:
     """Return where channels, areas and flags lie, [plane, first component], and which planes are sRGB."""
-    free: list[tuple[bool, list[int]]] = []
-    at: dict[str, Any] = {}
+    planes_left: list[tuple[bool, list[int]]] = []
+    slots: dict[str, Any] = {}
 
     def place(name: str, components: int, is_srgb: bool) -> None:
-        for number, (kind, slots) in enumerate([] if is_srgb else free):
-            chosen = [slot for slot in slots if slot == 3 or not kind][:components]
-            if len(chosen) == components and (components == 1 or chosen[0] == 0):
-                at[name] = [number, chosen[0]]
-                free[number] = kind, [slot for slot in slots if slot not in chosen]
+        for number, (is_srgb_plane, free_lanes) in enumerate([] if is_srgb else planes_left):
+            lanes = [slot for slot in free_lanes if slot == 3 or not is_srgb_plane][:components]
+            if len(lanes) == components and (components == 1 or lanes[0] == 0):
+                slots[name] = [number, lanes[0]]
+                planes_left[number] = is_srgb_plane, [slot for slot in free_lanes if slot not in lanes]
                 return
-        at[name] = [len(free), 0]
-        free.append((is_srgb, [slot for slot in range(components, 4) if free or slot < 3]))
+        slots[name] = [len(planes_left), 0]
+        planes_left.append((is_srgb, [slot for slot in range(components, 4) if planes_left or slot < 3]))
 
-    at["area"] = [0, 3]
+    slots["area"] = [0, 3]
     ranked = sorted(formats, key=lambda form: (form.name != "base_color", form.components != 3))
     if not formats or ranked[0].components == 4:
-        free.append((False, [0, 1, 2]))
+        planes_left.append((False, [0, 1, 2]))
     for form in ranked:
         place(form.name, form.components, form.space == "srgb")
     place("flags", 1, False)
-    at["planes"] = [is_srgb for is_srgb, _ in free]
-    return at
+    slots["planes"] = [is_srgb for is_srgb, _ in planes_left]
+    return slots
 
 
 def _levels(texture: OctreeTexture) -> Iterator[bytes]:
@@ -175,23 +175,23 @@ def _levels(texture: OctreeTexture) -> Iterator[bytes]:
     arrays = texture.tree.arrays
     n_nodes = texture.tree.n_nodes
     node_masks, leaf_masks = (masks_of(arrays.groups, word)[:n_nodes] for word in range(2))
-    above = np.zeros(1, np.int64)  # nodes of the level above
+    parents_above = np.zeros(1, np.int64)  # nodes of the level above
     for level, (_, is_node) in enumerate(texture.tree.walk()):
         first, end = arrays.level_cells[level : level + 2].tolist()
         parts: list[Array] = []
         parents = np.zeros(1, np.int64)
         if level:
-            rows = slice(*arrays.level_nodes[level - 1 : level + 1].tolist())
-            parts += [node_masks[rows], leaf_masks[rows]]
-            parents = np.repeat(above, bit_counts(node_masks[rows] | leaf_masks[rows]))
-        known = np.uint8(level > 0)
+            node_rows = slice(*arrays.level_nodes[level - 1 : level + 1].tolist())
+            parts += [node_masks[node_rows], leaf_masks[node_rows]]
+            parents = np.repeat(parents_above, bit_counts(node_masks[node_rows] | leaf_masks[node_rows]))
+        has_parent = np.uint8(level > 0)
         nodes = np.flatnonzero(is_node)
-        parts.append(arrays.areas[first:end][nodes] - known * arrays.areas[parents[nodes]])
-        parts.append(arrays.flags[first:end] ^ known * arrays.flags[parents])
+        parts.append(arrays.areas[first:end][nodes] - has_parent * arrays.areas[parents[nodes]])
+        parts.append(arrays.flags[first:end] ^ has_parent * arrays.flags[parents])
         for channel in texture.channels.values():
-            here, there = apart(channel.values[first:end]), apart(channel.values[parents])
-            parts.append(np.ascontiguousarray((here - known * there).T))
-        above = nodes + first
+            cells, parent_cells = apart(channel.values[first:end]), apart(channel.values[parents])
+            parts.append(np.ascontiguousarray((cells - has_parent * parent_cells).T))
+        parents_above = nodes + first
         yield b"".join(part.tobytes() for part in parts)
 
 
@@ -213,8 +213,8 @@ def web_file(title: str, parts: Sequence[Mapping[str, Any]], streams: Mapping[st
         streams, key=lambda name: (not name.endswith("mesh"), *map(int, re.findall(r"\d+", name)[::-1]))
     )
     ends = np.cumsum([0, *(len(streams[name]) for name in names)]).tolist()
-    places = {name: [first, end - first] for name, (first, end) in zip(names, pairwise(ends), strict=True)}
-    header = json.dumps({"title": title, "parts": parts, "streams": places}).encode()
+    spans = {name: [first, end - first] for name, (first, end) in zip(names, pairwise(ends), strict=True)}
+    header = json.dumps({"title": title, "parts": parts, "streams": spans}).encode()
     head = WEB_MAGIC + np.array([VERSION, len(header)], "<u4").tobytes()
     return b"".join([head, header, *(streams[name] for name in names)])
 

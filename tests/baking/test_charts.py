@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 import octex
 from octex.baking import atlas
 from octex.baking.charts import _merged, laid_flat
-from octex.baking.layout import doubled_areas, neighbors_of
+from octex.baking.layout import doubled_areas, neighbours_of
 from octex.baking.texels import draw_texels
 from octex.baking.unfold import SIDE, ChartMesh
 from octex.errors import ModelError
@@ -132,7 +132,7 @@ def test_charts_with_borders_of_one_length_are_merged(seed):
     crosses = area_vectors(points[triangles])
     normals = unit(crosses)
     areas = np.linalg.norm(crosses, axis=1)
-    others, _ = neighbors_of(triangles)
+    others, _ = neighbours_of(triangles)
     pieces = ChartMesh(points[triangles], others, areas, normals, normals)
     assert not _merged(pieces, charts.astype(np.int64)).any()
 

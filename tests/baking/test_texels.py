@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from octex.baking import atlas
 from octex.baking.coordinates import stretches_of
 from octex.baking.gutters import Borders, fill_up, gutter_of
-from octex.baking.layout import kept_layout, neighbors, unit_area
+from octex.baking.layout import kept_layout, neighbours_of_mesh, unit_area
 from octex.baking.maps import fit_rows, lacking
 from octex.baking.texels import draw_texels, texel_points
 from octex.errors import ModelError
@@ -62,7 +62,7 @@ def test_triangles_of_a_chart_share_texels_and_charts_do_not():
     shown = texel_points(corners, np.arange(3, dtype=np.int32), drawn, 0, flat, faces)
     rows, columns = shown.texels // 6, shown.texels % 6
     np.testing.assert_array_equal(np.sort(shown.texels), np.flatnonzero(drawn.triangles >= 0))
-    np.testing.assert_array_equal(shown.each(), drawn.triangles[rows, columns])
+    np.testing.assert_array_equal(shown.triangle_of_each(), drawn.triangles[rows, columns])
     np.testing.assert_allclose(
         shown.rest[:, :2] - np.stack([columns, rows], axis=1), drawn.centroids[rows, columns], atol=1e-6
     )
@@ -84,7 +84,7 @@ def test_beyond_an_edge_the_surface_goes_on_as_if_unfolded():
     surface = cube_with_charts()
     layout = kept_layout(surface, 256)
     drawn = draw_texels(layout.corners, layout.charts, layout.edges, 256, 0, 256)
-    others, sides = neighbors(surface)
+    others, sides = neighbours_of_mesh(surface)
     assert (others >= 0).all()
     taken = drawn.areas > 0
     borders = Borders.of(layout, taken, 6)
@@ -113,7 +113,7 @@ def test_where_the_surface_ends_gutters_show_its_edge():
     layout = kept_layout(surface, 64)
     drawn = draw_texels(layout.corners, layout.charts, layout.edges, 64, 0, 64)
     borders = Borders.of(layout, drawn.areas > 0, 4)
-    gutter = gutter_of(borders, layout, surface.rest, surface.triangles, *neighbors(surface))
+    gutter = gutter_of(borders, layout, surface.rest, surface.triangles, *neighbours_of_mesh(surface))
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
     on_edge = np.isclose(rest[:, :2], 0.0) | np.isclose(rest[:, :2], 1.0)
     assert on_edge.any(axis=1).all()
@@ -229,7 +229,7 @@ def test_charts_are_placed_in_the_first_place_where_they_fit(part):
             after = free.copy()
             after[i, j] = False
             rows = slice(row, row + len(mask))
-            atlas._take(free[rows], longest[rows], mask, column)
+            atlas._occupy(free[rows], longest[rows], mask, column)
             assert np.array_equal(free, after)
     assert missed
 

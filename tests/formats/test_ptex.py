@@ -14,8 +14,8 @@ import pytest
 import octex
 from octex.channels import decode, linear_to_srgb
 from octex.errors import ArgumentError, ModelError
-from octex.formats.ptex.export import _at, _placed
-from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of
+from octex.formats.ptex.export import _at
+from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of, place
 from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import Contents, write_contents
 from octex.parallel import Run, workers
@@ -203,7 +203,7 @@ def points_on_edge(surface, patches, face, edge):
     """Return both ends of an edge of a face, as it goes around."""
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
     uv = corners[[edge, (edge + 1) % 4]]
-    triangles, barycentric = _placed(patches, np.full(2, face, np.int32), uv)
+    triangles, barycentric = place(patches, np.full(2, face, np.int32), uv)
     return surface.rest_at(triangles, barycentric)
 
 
@@ -235,7 +235,7 @@ def test_at_the_centres_of_texels_a_surface_has_their_values(triangles, house, t
             log2 = np.repeat(file.faces.log2[face][None], count, axis=0)
             middle = np.full((1, 2), 1 / 3 if triangles else 1 / 2)
             uv = _at(patches, log2, np.arange(count), middle)[:, 0]
-            at = _placed(patches, np.full(count, face, np.int32), uv)
+            at = place(patches, np.full(count, face, np.int32), uv)
             found = painted.evaluate_all(*at, np.zeros(count, np.float32))
             wanted = decode(file.texels(face).reshape(count, 3), "srgb")
             assert abs(found - wanted).max() < 1e-4

@@ -6,6 +6,7 @@ import json
 import os
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +31,7 @@ ENDING = ".ptx"
 #: Texels that are sampled at once.
 _TOGETHER = 1 << 19
 #: Positions on a face, along u and v, where the octree's cells are measured.
-_LOOKED_AT = (0.02, 0.25, 0.5, 0.75, 0.98)
+_PROBED = (0.02, 0.25, 0.5, 0.75, 0.98)
 _MOST_TEXELS = 2**34
 #: Positions of samples along a texel's sides: the centre of a quad; of a triangle the thirds on which it is
 #: linear (`triangles`), to which it is then fitted ...
@@ -67,9 +68,9 @@ def write_ptex(
     run       how to work (octex.Run)
 
     A mesh of triangles becomes triangular faces. In others quads stay quads, and other polygons become a face
-    for each corner, as Ptex requires. A face gets the power of two of texels along u and v that fits the
-    octree's finest cells on it, where it is stretched most. Neighbours share an edge at rest, in opposite
-    directions; other edges are borders.
+    for each corner, as Ptex requires. Along u and v, a face gets the power of two of texels that fits the
+    octree's finest cells on it. The place where it is stretched most decides. Neighbours share an edge at
+    rest, in opposite directions; other edges are borders.
 
     Raises ArgumentError for missing channels, another type or ending, and too few texels; ModelError for a
     surface without area; OutputError if the file cannot be written. (Burley & Lacewell, EGSR 2008.)
@@ -84,9 +85,8 @@ def write_ptex(
     kind = stored if dtype is None else as_choice(dtype, DTYPES, "dtype")
     run = as_run(run, threads, progress)
     patches = patches_of(surface)
-    lengths = (
-        _limit_lengths(surface, patches) if as_flag(limit, "limit") else stretches(patches, surface.rest)
-    )
+    on_limit = as_flag(limit, "limit")
+    lengths = _limit_lengths(surface, patches) if on_limit else stretches(patches, surface.rest)
     log2 = _sizes(texture, surface, patches, lengths, texels)
     faces = faces_of(surface, patches, log2)
     forms = [texture.channels[name].format for name in names]
@@ -98,8 +98,8 @@ def write_ptex(
     notes = [(form.name, form.components, space) for form, space in zip(forms, spaces, strict=True)]
     with workers(run) as pool:
         samples = _Samples(surface, patches, faces)
-        wanted = _looked_up(texture, samples, names, pool, run.report)
-        columns = np.split(_fitted(wanted, samples, forms, run.report), ends[:-1], axis=1)
+        sampled_values = _sampled(texture, samples, names, pool, run.report)
+        columns = np.split(_fitted(sampled_values, samples, forms, run.report), ends[:-1], axis=1)
         codes = [encode(column, kind, space) for column, space in zip(columns, spaces, strict=True)]
         contents = Contents(
             MESH_TYPES[TRIANGLE if patches.is_triangle else QUAD],
@@ -153,21 +153,19 @@ def _sizes(
     """Return log2 of the faces' texels along u and v (faces, 2), from derivatives ``lengths``."""
     finest = np.full(patches.n_faces, np.inf)
     numbers = np.arange(patches.n_faces, dtype=np.int32)
-    for v in _LOOKED_AT:
-        for u in _LOOKED_AT:
-            if patches.is_triangle and u + v > 1.0:
-                continue
-            uv = np.tile([u, v], (patches.n_faces, 1))
-            triangles, barycentric = _placed(patches, numbers, uv)
-            there = np.flatnonzero(triangles >= 0)
-            rest = surface.rest_at(triangles[there], barycentric[there])
-            finest[there] = np.minimum(finest[there], _cell_edges(texture, rest))
+    for v, u in product(_PROBED, repeat=2):
+        if patches.is_triangle and u + v > 1.0:
+            continue
+        triangles, barycentric = place(patches, numbers, np.tile([u, v], (patches.n_faces, 1)))
+        placed = np.flatnonzero(triangles >= 0)
+        rest = surface.rest_at(triangles[placed], barycentric[placed])
+        finest[placed] = np.minimum(finest[placed], _cell_edges(texture, rest))
     with np.errstate(divide="ignore", invalid="ignore"):
-        wanted = np.nan_to_num(np.log2(lengths / finest[:, None]), nan=-60.0, neginf=-60.0, posinf=60.0)
+        exact = np.nan_to_num(np.log2(lengths / finest[:, None]), nan=-60.0, neginf=-60.0, posinf=60.0)
 
     def rounded(shift: float) -> Int8s:
-        made: Int8s = np.clip(np.rint(wanted + shift), 0, LONGEST_LOG2).astype(np.int8)
-        return made
+        log2: Int8s = np.clip(np.rint(exact + shift), 0, LONGEST_LOG2).astype(np.int8)
+        return log2
 
     def total(shift: float) -> float:
         return float(np.exp2(rounded(shift).sum(axis=1, dtype=np.float64)).sum())
@@ -184,12 +182,6 @@ def _sizes(
         middle = (low + high) / 2
         low, high = (middle, high) if total(middle) <= most else (low, middle)
     return rounded(low)
-
-
-def _placed(patches: Patches, faces: Int32s, uv: Float64s) -> tuple[Int32s, Float64s]:
-    triangles, barycentric = np.empty(len(faces), np.int32), np.empty((len(faces), 3))
-    place(patches, faces, uv, triangles, barycentric)
-    return triangles, barycentric
 
 
 def _cell_edges(texture: OctreeTexture, rest: Float64s) -> Float64s:
@@ -223,62 +215,63 @@ class _Samples(NamedTuple):
         faces = faces[begin - (ends[first] - counts[first]) :][: end - begin]
         uv = _at(self.patches, log2[faces], np.arange(begin, end) - (ends - counts)[faces], self.per_texel)
         faces = np.repeat(faces, len(self.per_texel))
-        return faces, *_placed(self.patches, faces, uv.reshape(-1, 2))
+        return faces, *place(self.patches, faces, uv.reshape(-1, 2))
 
 
-def _looked_up(
+def _sampled(
     texture: OctreeTexture, samples: _Samples, names: Sequence[str], executor: Executor, report: Progress
 ) -> Float32s:
     """Sample the texture for all texels (texels, samples, components)."""
     surface, log2 = samples.surface, samples.faces.log2
     components = [texture.channels[name].format.components for name in names]
-    count, each = int(samples.faces.counts.sum()), len(samples.per_texel)
-    values = np.zeros((count * each, sum(components)), np.float32)
+    count, per_texel = int(samples.faces.counts.sum()), len(samples.per_texel)
+    values = np.zeros((count * per_texel, sum(components)), np.float32)
     lengths = stretches(samples.patches, surface.rest)
     for begin in range(0, count, _TOGETHER):
         report("sample", begin, count)
         faces, triangles, barycentric = samples.points(begin, min(begin + _TOGETHER, count))
-        there = np.flatnonzero(triangles >= 0)
-        if not there.size:
+        placed = np.flatnonzero(triangles >= 0)
+        if not placed.size:
             continue
-        rest = surface.rest_at(triangles[there], barycentric[there])
-        edges = (lengths[faces[there]] / np.exp2(log2[faces[there]])).prod(axis=1) ** 0.5 / each**0.5
+        rest = surface.rest_at(triangles[placed], barycentric[placed])
+        edges = (lengths[faces[placed]] / np.exp2(log2[faces[placed]])).prod(axis=1) ** 0.5 / per_texel**0.5
         widths = np.where(edges > _WIDE * _cell_edges(texture, rest), edges, 0.0)
-        normals = area_vectors(surface.rest[surface.triangles[triangles[there]]])
-        found = texture.sample(rest, list(names), normals=normals, width=widths, run=Run(executor=executor))
-        columns = [found[name].reshape(len(there), -1) for name in names]
-        values[begin * each + there] = np.concatenate(columns, axis=1)
-    return values.reshape(count, each, -1)
+        normals = area_vectors(surface.rest[surface.triangles[triangles[placed]]])
+        run = Run(executor=executor)
+        sampled = texture.sample(rest, list(names), normals=normals, width=widths, run=run)
+        columns = [sampled[name].reshape(len(placed), -1) for name in names]
+        values[begin * per_texel + placed] = np.concatenate(columns, axis=1)
+    return values.reshape(count, per_texel, -1)
 
 
 def _fitted(
-    wanted: Float32s, samples: _Samples, forms: Sequence[ChannelFormat], report: Progress
+    sampled_values: Float32s, samples: _Samples, forms: Sequence[ChannelFormat], report: Progress
 ) -> Float32s:
-    """Return texels (texels, components) that reproduce the values ``wanted`` at their samples.
+    """Return texels (texels, components) that reproduce the values ``sampled_values`` at their samples.
 
     With one sample that is the value. Otherwise texels start as means; each round adds the mean error of the
     field over the texel (Van Cittert's iteration), with colours weighted by coverage.
     """
-    if wanted.shape[1] == 1:
-        return wanted[:, 0]
-    weights = np.ones((len(wanted), wanted.shape[1], 1), np.float32)
+    if sampled_values.shape[1] == 1:
+        return sampled_values[:, 0]
+    weights = np.ones((len(sampled_values), sampled_values.shape[1], 1), np.float32)
     is_alpha = np.array([form.name == ALPHA.name for form in forms for _ in range(form.components)])
     if is_alpha.any():
-        weights = np.where(is_alpha, np.float32(1.0), wanted[..., is_alpha])
+        weights = np.where(is_alpha, np.float32(1.0), sampled_values[..., is_alpha])
     totals = np.maximum(weights.sum(axis=1), np.float32(2.0**-20))
-    texels: Float32s = (wanted * weights).sum(axis=1) / totals
+    texels: Float32s = (sampled_values * weights).sum(axis=1) / totals
     for _ in range(_ROUNDS):
         field = TexelField(texels, samples.faces, forms, samples.surface, samples.patches, ("clamp", "clamp"))
         for begin in range(0, len(texels), _TOGETHER):
             report("fit", begin, len(texels))
-            part = wanted[begin : begin + _TOGETHER]
+            part = sampled_values[begin : begin + _TOGETHER]
             _, triangles, barycentric = samples.points(begin, begin + len(part))
-            there = np.flatnonzero(triangles >= 0)
-            lack = np.zeros((len(triangles), texels.shape[1]), np.float32)
-            found = field.read(triangles[there], barycentric[there], np.zeros(len(there), np.float32))
-            lack[there] = part.reshape(lack.shape)[there] - found
-            lack = lack.reshape(part.shape) * weights[begin : begin + _TOGETHER]
-            texels[begin : begin + _TOGETHER] += lack.sum(axis=1) / totals[begin : begin + _TOGETHER]
+            placed = np.flatnonzero(triangles >= 0)
+            errors = np.zeros((len(triangles), texels.shape[1]), np.float32)
+            values = field.read(triangles[placed], barycentric[placed], np.zeros(len(placed), np.float32))
+            errors[placed] = part.reshape(errors.shape)[placed] - values
+            errors = errors.reshape(part.shape) * weights[begin : begin + _TOGETHER]
+            texels[begin : begin + _TOGETHER] += errors.sum(axis=1) / totals[begin : begin + _TOGETHER]
     return texels
 
 

@@ -65,12 +65,12 @@ class TexelField:
 
     def read(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
-        found = np.zeros((len(triangles), self._pyramid.pixels.shape[1]), np.float32)
-        _evaluate(self._patches, self._pyramid, self._lengths, triangles, barycentric, widths, found)
-        np.clip(found, *self._range, out=found)
+        values = np.zeros((len(triangles), self._pyramid.pixels.shape[1]), np.float32)
+        _evaluate(self._patches, self._pyramid, self._lengths, triangles, barycentric, widths, values)
+        np.clip(values, *self._range, out=values)
         if self._alpha >= 0:
-            found[:, self._weighted] /= np.maximum(found[:, self._alpha, None], np.float32(_LEAST))
-        return found
+            values[:, self._weighted] /= np.maximum(values[:, self._alpha, None], np.float32(_LEAST))
+        return values
 
     def texel_edges(self, faces: Int64s) -> Float32s:
         """Return the edge of a texel of faces (n,), in rest units."""
@@ -88,31 +88,31 @@ class TexelField:
 @kernel
 def _evaluate(
     patches: Patches, pyramid: Pyramid, lengths: Float64s, triangles: Int32s, barycentric: Float64s,
-    widths: Float32s, found: Float32s,
+    widths: Float32s, values: Float32s,
 ) -> None:  # fmt: skip
     for n in range(triangles.size):
         face, u, v = locate(
             patches, int(triangles[n]), barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
         )
-        wide = widths[n] * (1 << pyramid.log2[0, face, 0]) / max(lengths[face, 0], 1e-300)
-        high = widths[n] * (1 << pyramid.log2[0, face, 1]) / max(lengths[face, 1], 1e-300)
-        level = min(0.5 * np.log2(max(wide * high / _FINER, 1.0)), float(pyramid.faces[face]))
+        texels_u = widths[n] * (1 << pyramid.log2[0, face, 0]) / max(lengths[face, 0], 1e-300)
+        texels_v = widths[n] * (1 << pyramid.log2[0, face, 1]) / max(lengths[face, 1], 1e-300)
+        level = min(0.5 * np.log2(max(texels_u * texels_v / _FINER, 1.0)), float(pyramid.faces[face]))
         low = min(int(level), int(pyramid.faces[face]))
         share = np.float32(level - low)
-        _add(pyramid, patches.is_triangle, face, low, u, v, np.float32(1.0) - share, found[n])
+        _add(pyramid, patches.is_triangle, face, low, u, v, np.float32(1.0) - share, values[n])
         if share > 0.0:
-            _add(pyramid, patches.is_triangle, face, low + 1, u, v, share, found[n])
+            _add(pyramid, patches.is_triangle, face, low + 1, u, v, share, values[n])
 
 
 @inlined
 def _add(
     pyramid: Pyramid, is_triangle: bool, face: int, level: int, u: float, v: float, share: np.float32,
-    to: Float32s,
+    sums: Float32s,
 ) -> None:  # fmt: skip
     across, down = 1 << pyramid.log2[level, face, 0], 1 << pyramid.log2[level, face, 1]
     first, width = pyramid.firsts[level, face], across + 2
     if is_triangle:
-        add_triangle(pyramid.pixels, first, across, u * across, v * across, share, to)
+        add_triangle(pyramid.pixels, first, across, u * across, v * across, share, sums)
         return
     x, y = u * across + 0.5, v * down + 0.5
     i, j = min(int(x), across), min(int(y), down)
@@ -122,5 +122,5 @@ def _add(
         for column in range(4):
             at = start + min(max(i + column - 1, 0), across + 1)
             weight = share * of_y[row] * of_x[column]
-            for k in range(to.size):
-                to[k] += weight * pyramid.pixels[at, k]
+            for k in range(sums.size):
+                sums[k] += weight * pyramid.pixels[at, k]

@@ -11,20 +11,21 @@
     edits           faces and metadata that replace what stands above
 
 A pixel has one number a channel. A block has a face's texels, channel after channel, each in rows from v = 0
-up: one pixel alone (CONSTANT), z of them (ZIPPED), z of their differences from the one before, from 0 on and
-modulo 2^bits (DIFFERENCED), or a grid of tiles, each a block by itself (TILED).
+up. It is one pixel alone (CONSTANT), z of them (ZIPPED), z of their differences (DIFFERENCED), or a grid of
+tiles, each a block by itself (TILED). A difference is from the texel before, the first from 0, modulo 2^bits.
 
 Level 0 has all faces in order; those that are constant have no block. Level i has faces of half the texels
 along u and along v, i times over, multiplied by alpha: those whose lesser side has more than 2^(i + 1)
 texels, sorted by that side, the longest first, equal ones in order.
 
-Faces are quads with u from corner 0 to 1 and v from corner 0 to 3, or triangles with u from corner 0 to 1 and
-v from 0 to 2. Edge i goes from corner i to the next. A polygon that is no quad, among quads, is a subface for
-each of its corners: with the corner at (0, 0), the middle of the edge that follows it at (1, 0), that of the
-polygon at (1, 1). A quad beside such an edge has as neighbour the subface that comes first along its edge.
+Faces are quads or triangles. On quads u goes from corner 0 to 1 and v from corner 0 to 3, on triangles u from
+corner 0 to 1 and v from 0 to 2. Edge i goes from corner i to the next. A polygon that is no quad, among
+quads, is a subface for each of its corners: with the corner at (0, 0), the middle of the edge that follows it
+at (1, 0), that of the polygon at (1, 1). A quad beside such an edge has as neighbour the subface that comes
+first along its edge.
 
-A triangle of 2^n by 2^n texels is cut into cells of that grid, each with one texel that stands upright and,
-but for those on the slanted edge, one on its tip. The upright texel of cell (column i, row j) is stored
+A triangle of 2^n by 2^n texels is cut into cells of that grid, each with one texel that stands upright. Those
+off the slanted edge have a second one, on its tip. The upright texel of cell (column i, row j) is stored
 there; the other at column 2^n − 1 − j of row 2^n − 1 − i.
 """
 
@@ -100,14 +101,14 @@ class Faces(NamedTuple):
 
 def packed_faces(faces: Faces, is_constant: Bools) -> np.ndarray:
     """Return faces in the file's format."""
-    made = np.zeros(len(faces.log2), FACE_INFO)
-    made["u_log2"], made["v_log2"] = faces.log2.T
-    made["neighbors"] = faces.neighbors
-    made["edges"] = (faces.edges.astype(np.uint8) << np.arange(0, 8, 2, dtype=np.uint8)).sum(
+    info = np.zeros(len(faces.log2), FACE_INFO)
+    info["u_log2"], info["v_log2"] = faces.log2.T
+    info["neighbors"] = faces.neighbors
+    info["edges"] = (faces.edges.astype(np.uint8) << np.arange(0, 8, 2, dtype=np.uint8)).sum(
         axis=1, dtype=np.uint8
     )
-    made["flags"] = IS_CONSTANT * is_constant + IS_SUBFACE * faces.subfaces
-    return made
+    info["flags"] = IS_CONSTANT * is_constant + IS_SUBFACE * faces.subfaces
+    return info
 
 
 def unpacked_faces(info: np.ndarray) -> Faces:
@@ -138,6 +139,6 @@ def reduced_order(log2: Int8s, is_constant: Bools) -> tuple[Int64s, Int64s]:
 def tile_log2(u_log2: int, v_log2: int, pixel: int) -> tuple[int, int]:
     """Return log2 of the sides of a face's tiles; a texel has ``pixel`` bytes."""
     tiles = max(((pixel << u_log2 + v_log2) // TILE_BYTES).bit_length() - 1, 0)
-    left = u_log2 + v_log2 - tiles
-    u = min((left + 1) // 2, u_log2)
-    return u, min(left - u, v_log2)
+    rest = u_log2 + v_log2 - tiles
+    u = min((rest + 1) // 2, u_log2)
+    return u, min(rest - u, v_log2)

@@ -46,9 +46,9 @@ def patches_of(mesh: Mesh, mesh_type: str | None = None) -> Patches:
     ``mesh_type`` None means triangles if all polygons are, else quads, where every other polygon becomes a
     face per corner. Raises ModelError if a triangle mesh is wanted and there are other polygons.
     """
-    known, counts, vertices = mesh.loops()
-    sizes = np.full(int(known[-1]) + 1, 4, np.int64)  # for polygons without triangles
-    sizes[known] = counts
+    used, counts, vertices = mesh.loops()
+    sizes = np.full(int(used[-1]) + 1, 4, np.int64)  # for polygons without triangles
+    sizes[used] = counts
     if mesh_type is None:
         mesh_type = MESH_TYPES[TRIANGLE if (counts == 3).all() else QUAD]
     is_triangle = mesh_type == MESH_TYPES[TRIANGLE]
@@ -57,19 +57,16 @@ def patches_of(mesh: Mesh, mesh_type: str | None = None) -> Patches:
             f"{mesh.name} has polygons of {int(counts.max())} corners, and the .ptx is for a mesh of "
             "triangles; give the mesh that it was painted on"
         )
-    has = np.zeros(len(sizes), np.bool_)
-    has[known] = True
-    ends = np.cumsum(np.where(has, sizes, 0))
-    first_corners = np.concatenate([[0], ends])
-    per = np.where(sizes == 4, 1, sizes)
-    if is_triangle:
-        per = np.ones_like(sizes)
-    first_faces = np.concatenate([[0], np.cumsum(per)])
+    corner_counts = np.zeros_like(sizes)
+    corner_counts[used] = counts
+    first_corners = np.concatenate([[0], np.cumsum(corner_counts)])
+    face_counts = np.ones_like(sizes) if is_triangle else np.where(sizes == 4, 1, sizes)
+    first_faces = np.concatenate([[0], np.cumsum(face_counts)])
     numbers, cut = mesh.polygons or Polygons.of_triangles(len(mesh.triangles))
     order = np.argsort(numbers, kind="stable").astype(np.int32)
     first_cut = np.searchsorted(numbers[order], np.arange(len(sizes) + 1))
     plane = _planes(mesh.rest[vertices], first_corners)
-    owners = np.repeat(np.arange(len(sizes), dtype=np.int32), per)
+    owners = np.repeat(np.arange(len(sizes), dtype=np.int32), face_counts)
     return Patches(
         is_triangle,
         first_corners,
@@ -90,18 +87,19 @@ def _at_corners(values: Float64s, first_corners: Int64s, first_faces: Int64s, ow
     sizes, within = np.diff(first_corners), np.arange(len(owners)) - first_faces[owners]
     polygons = np.repeat(np.arange(len(sizes)), sizes)
     sums = np.stack([np.bincount(polygons, column, len(sizes)) for column in values.T], axis=1)
-    found = np.zeros((len(owners), 4, values.shape[1]))
-    is_whole = (np.diff(first_faces) == 1)[owners] & (sizes > 0)[owners]
-    begin, size = first_corners[owners[is_whole]], sizes[owners[is_whole]]
+    at_faces = np.zeros((len(owners), 4, values.shape[1]))
+    face_counts = np.diff(first_faces)[owners]
+    is_whole = (face_counts == 1) & (sizes > 0)[owners]
+    first, count = first_corners[owners[is_whole]], sizes[owners[is_whole]]
     for corner in range(4):
-        found[is_whole, corner] = values[begin + np.minimum(corner, size - 1)]
-    parts = np.flatnonzero(np.diff(first_faces)[owners] > 1)
-    begin, size, corner_number = first_corners[owners[parts]], sizes[owners[parts]], within[parts]
-    here = values[begin + corner_number]
-    found[parts, 0], found[parts, 2] = here, sums[owners[parts]] / size[:, None]
-    for corner, step in ((1, 1), (3, size - 1)):
-        found[parts, corner] = 0.5 * (here + values[begin + (corner_number + step) % size])
-    return found
+        at_faces[is_whole, corner] = values[first + np.minimum(corner, count - 1)]
+    subfaces = np.flatnonzero(face_counts > 1)
+    first, count, corner_number = first_corners[owners[subfaces]], sizes[owners[subfaces]], within[subfaces]
+    at_corner = values[first + corner_number]
+    at_faces[subfaces, 0], at_faces[subfaces, 2] = at_corner, sums[owners[subfaces]] / count[:, None]
+    for corner, step in ((1, 1), (3, count - 1)):
+        at_faces[subfaces, corner] = 0.5 * (at_corner + values[first + (corner_number + step) % count])
+    return at_faces
 
 
 def _sides(first_corners: Int64s) -> tuple[Int64s, Int64s, Int64s]:
@@ -131,27 +129,27 @@ def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
     Vertices at one rest position are one. An edge of one polygon, of more than two, or of two that run along
     it in the same direction is a border.
     """
-    place = first_equal(mesh.rest)[patches.corners]
+    vertex = first_equal(mesh.rest)[patches.corners]
     polygon, within, after = _sides(patches.first_corners)
-    base = patches.first_faces[polygon]
-    across = sides_across(place, place[patches.first_corners[polygon] + after])
-    whole = np.diff(patches.first_faces)[polygon] == 1
+    first_face = patches.first_faces[polygon]
+    across = sides_across(vertex, vertex[patches.first_corners[polygon] + after])
+    is_whole = np.diff(patches.first_faces)[polygon] == 1
     neighbors = np.full((patches.n_faces, 4), -1, np.int32)
     edges = np.zeros((patches.n_faces, 4), np.uint8)
     # The face and its edge along the first half of a polygon's side, and along the second half.
     halves = (
-        (np.where(whole, base, base + within), np.where(whole, within, 0)),
-        (np.where(whole, base, base + after), np.where(whole, within, 3)),
+        (np.where(is_whole, first_face, first_face + within), np.where(is_whole, within, 0)),
+        (np.where(is_whole, first_face, first_face + after), np.where(is_whole, within, 3)),
     )
-    here = np.flatnonzero(across >= 0)
-    there = across[here]
+    sides = np.flatnonzero(across >= 0)
+    opposite = across[sides]
     for half in (1, 0):  # last the first half, which is the neighbour of a face along the whole side
         (face, edge), (other, beyond) = halves[half], halves[1 - half]
-        neighbors[face[here], edge[here]] = other[there]
-        edges[face[here], edge[here]] = beyond[there]
-    here, following = (base + within)[~whole], (base + after)[~whole]
-    neighbors[here, 1], edges[here, 1] = following, 2
-    neighbors[following, 2], edges[following, 2] = here, 1
+        neighbors[face[sides], edge[sides]] = other[opposite]
+        edges[face[sides], edge[sides]] = beyond[opposite]
+    subfaces, following = (first_face + within)[~is_whole], (first_face + after)[~is_whole]
+    neighbors[subfaces, 1], edges[subfaces, 1] = following, 2
+    neighbors[following, 2], edges[following, 2] = subfaces, 1
     return neighbors, edges
 
 
@@ -206,6 +204,13 @@ def _inverse(patches: Patches, face: int, x: float, y: float) -> tuple[float, fl
 
 
 @inlined
+def _corners_of(patches: Patches, triangle: int) -> tuple[int, int, int]:
+    """Return the corners, of all polygons, at the corners of a triangle."""
+    first, cut = patches.first_corners[patches.polygons[triangle]], patches.cut
+    return first + cut[triangle, 0], first + cut[triangle, 1], first + cut[triangle, 2]
+
+
+@inlined
 def locate(patches: Patches, triangle: int, p: float, q: float, r: float) -> tuple[int, float, float]:
     """Return the face of a point of a triangle, by barycentric coordinates, and (u, v) there."""
     polygon = int(patches.polygons[triangle])
@@ -219,23 +224,18 @@ def locate(patches: Patches, triangle: int, p: float, q: float, r: float) -> tup
             elif patches.cut[triangle, corner] == 2:
                 v = share
         return face, min(max(u, 0.0), 1.0), min(max(v, 0.0), 1.0)
-    begin = patches.first_corners[polygon]
-    a, b, c = (
-        begin + patches.cut[triangle, 0],
-        begin + patches.cut[triangle, 1],
-        begin + patches.cut[triangle, 2],
-    )
+    a, b, c = _corners_of(patches, triangle)
     x = p * patches.plane[a, 0] + q * patches.plane[b, 0] + r * patches.plane[c, 0]
     y = p * patches.plane[a, 1] + q * patches.plane[b, 1] + r * patches.plane[c, 1]
-    found, best_u, best_v, least = face, 0.5, 0.5, np.inf
-    for each in range(face, patches.first_faces[polygon + 1]):
-        u, v = _inverse(patches, each, x, y)
+    nearest, best_u, best_v, outside_least = face, 0.5, 0.5, np.inf
+    for candidate in range(face, patches.first_faces[polygon + 1]):
+        u, v = _inverse(patches, candidate, x, y)
         outside = max(max(-u, u - 1.0), max(-v, v - 1.0))
-        if outside < least:
-            found, best_u, best_v, least = each, u, v, outside
+        if outside < outside_least:
+            nearest, best_u, best_v, outside_least = candidate, u, v, outside
             if outside <= 0.0:
                 break
-    return found, min(max(best_u, 0.0), 1.0), min(max(best_v, 0.0), 1.0)
+    return nearest, min(max(best_u, 0.0), 1.0), min(max(best_v, 0.0), 1.0)
 
 
 @inlined
@@ -252,8 +252,9 @@ def _bilinear(patches: Patches, face: int, u: float, v: float) -> tuple[float, f
 
 
 @kernel
-def place(patches: Patches, faces: Int32s, uv: Float64s, triangles: Int32s, barycentric: Float64s) -> None:
-    """Write triangles (n,), −1 for none, and barycentric points of faces (n,) at (u, v) (n, 2)."""
+def place(patches: Patches, faces: Int32s, uv: Float64s) -> tuple[Int32s, Float64s]:
+    """Return the triangles (n,), −1 for none, and barycentric points of faces (n,) at (u, v) (n, 2)."""
+    triangles, barycentric = np.empty(faces.size, np.int32), np.empty((faces.size, 3))
     for n in range(faces.size):
         face = int(faces[n])
         polygon = int(patches.owners[face])
@@ -269,18 +270,13 @@ def place(patches: Patches, faces: Int32s, uv: Float64s, triangles: Int32s, bary
                 which = patches.cut[triangle, corner]
                 barycentric[n, corner] = 1.0 - u - v if which == 0 else (u if which == 1 else v)
             continue
-        begin = patches.first_corners[polygon]
         best = -np.inf
         x = y = 0.0
         if patches.first_cut[polygon] < patches.first_cut[polygon + 1]:
             x, y = _bilinear(patches, face, u, v)
-        for at in range(patches.first_cut[polygon], patches.first_cut[polygon + 1]):
-            triangle = patches.triangles[at]
-            a, b, c = (
-                begin + patches.cut[triangle, 0],
-                begin + patches.cut[triangle, 1],
-                begin + patches.cut[triangle, 2],
-            )
+        for row in range(patches.first_cut[polygon], patches.first_cut[polygon + 1]):
+            triangle = patches.triangles[row]
+            a, b, c = _corners_of(patches, triangle)
             ax, ay = patches.plane[a, 0], patches.plane[a, 1]
             ex, ey = patches.plane[b, 0] - ax, patches.plane[b, 1] - ay
             fx, fy = patches.plane[c, 0] - ax, patches.plane[c, 1] - ay
@@ -298,6 +294,7 @@ def place(patches: Patches, faces: Int32s, uv: Float64s, triangles: Int32s, bary
                 total = p + q + r
                 triangles[n] = triangle
                 barycentric[n, 0], barycentric[n, 1], barycentric[n, 2] = p / total, q / total, r / total
+    return triangles, barycentric
 
 
 def stretches(patches: Patches, positions: Float64s) -> Float64s:

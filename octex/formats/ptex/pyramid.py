@@ -35,10 +35,10 @@ def pyramid_of(values: Float32s, log2: Int8s, is_triangle: bool) -> Pyramid:
     counts[np.arange(levels)[:, None] > lasts] = 0  # a face ends with its level of one texel
     firsts = (np.cumsum(counts) - counts.ravel()).reshape(counts.shape)
     pixels = np.zeros((int(counts.sum()), values.shape[1]), np.float32)
-    made = Pyramid(pixels, firsts, sides, lasts)
+    pyramid = Pyramid(pixels, firsts, sides, lasts)
     starts = np.cumsum(np.int64(1) << log2.sum(axis=1, dtype=np.int64))
-    _fill(values, np.concatenate([[0], starts[:-1]]), made, is_triangle)
-    return made
+    _fill(values, np.concatenate([[0], starts[:-1]]), pyramid, is_triangle)
+    return pyramid
 
 
 @kernel
@@ -50,18 +50,18 @@ def _fill(values: Float32s, starts: Int64s, pyramid: Pyramid, is_triangle: bool)
             u, v = 1 << pyramid.log2[level, face, 0], 1 << pyramid.log2[level, face, 1]
             first = pyramid.firsts[level, face] + u + 3
             across = down = 1
-            before, above = 0, 0
+            finer_first, finer_width = 0, 0
             if level > 0:
-                above = (1 << pyramid.log2[level - 1, face, 0]) + 2
-                before = pyramid.firsts[level - 1, face] + above + 1
+                finer_width = (1 << pyramid.log2[level - 1, face, 0]) + 2
+                finer_first = pyramid.firsts[level - 1, face] + finer_width + 1
                 across = 1 << (pyramid.log2[level - 1, face, 0] - pyramid.log2[level, face, 0])
                 down = 1 << (pyramid.log2[level - 1, face, 1] - pyramid.log2[level, face, 1])
             for row in range(v):
                 for column in range(u):
-                    to = first + row * (u + 2) + column
+                    texel = first + row * (u + 2) + column
                     for k in range(columns):
                         if level == 0:
-                            pyramid.pixels[to, k] = values[starts[face] + row * u + column, k]
+                            pyramid.pixels[texel, k] = values[starts[face] + row * u + column, k]
                             continue
                         total = np.float32(0.0)
                         for j in range(down):
@@ -69,8 +69,8 @@ def _fill(values: Float32s, starts: Int64s, pyramid: Pyramid, is_triangle: bool)
                                 y, x = row * down + j, column * across + i
                                 if is_triangle and i == 1 and j == 1:
                                     y, x = 2 * u - 1 - 2 * column, 2 * u - 1 - 2 * row
-                                total += pyramid.pixels[before + y * above + x, k]
-                        pyramid.pixels[to, k] = total / np.float32(across * down)
+                                total += pyramid.pixels[finer_first + y * finer_width + x, k]
+                        pyramid.pixels[texel, k] = total / np.float32(across * down)
 
 
 @kernel
@@ -83,26 +83,26 @@ def fill_rims(pyramid: Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: Bool
             for edge in range(4):
                 length = u if edge % 2 == 0 else v
                 for i in range(length):
-                    to = first + _rim(edge, i, u, v, width, 0)
-                    source = _across(
+                    texel = first + _rim(edge, i, u, v, width, 0)
+                    neighbour = _across(
                         pyramid, neighbors, edges, subfaces, face, level, edge, (i + 0.5) / length
                     )
-                    if source < 0:
+                    if neighbour < 0:
                         mode = modes[0] if edge % 2 == 1 else modes[1]
                         if mode == _BLACK:
                             continue
-                        source = first + _rim(edge, i, u, v, width, 1)
+                        neighbour = first + _rim(edge, i, u, v, width, 1)
                         if mode == _PERIODIC:
-                            source = first + _rim((edge + 2) % 4, length - 1 - i, u, v, width, 1)
-                    pyramid.pixels[to] = pyramid.pixels[source]
+                            neighbour = first + _rim((edge + 2) % 4, length - 1 - i, u, v, width, 1)
+                    pyramid.pixels[texel] = pyramid.pixels[neighbour]
             for corner in range(4):
                 column, row = (0, width - 1)[corner % 2], (0, v + 1)[corner // 2]
                 beside = 1 if column == 0 else -1
                 upward = 1 if row == 0 else -1
-                at = first + row * width + column
+                texel = first + row * width + column
                 for k in range(pyramid.pixels.shape[1]):
-                    pyramid.pixels[at, k] = np.float32(0.5) * (
-                        pyramid.pixels[at + beside, k] + pyramid.pixels[at + upward * width, k]
+                    pyramid.pixels[texel, k] = np.float32(0.5) * (
+                        pyramid.pixels[texel + beside, k] + pyramid.pixels[texel + upward * width, k]
                     )
 
 
@@ -124,22 +124,22 @@ def _across(
     along: float,
 ) -> int:  # fmt: skip
     """Return the texel across an edge at a fraction of its length, −1 for none."""
-    other, there = int(neighbors[face, edge]), int(edges[face, edge])
+    other, other_edge = int(neighbors[face, edge]), int(edges[face, edge])
     if other < 0:
         return -1
     if subfaces[other] and not subfaces[face]:
         if along >= 0.5:  # the second of two subfaces
-            turn = (there + 3) % 4
+            turn = (other_edge + 3) % 4
             second = int(neighbors[other, turn])
             if second < 0:
                 return -1
-            there, other = (int(edges[other, turn]) + 3) % 4, second
+            other_edge, other = (int(edges[other, turn]) + 3) % 4, second
             along -= 0.5
         along *= 2.0
     elif subfaces[face] and not subfaces[other] and (edge == 0 or edge == 3):
         along = 0.5 * along if edge == 0 else 0.5 + 0.5 * along
     level = min(level, int(pyramid.faces[other]))
     u, v = 1 << pyramid.log2[level, other, 0], 1 << pyramid.log2[level, other, 1]
-    length = u if there % 2 == 0 else v
+    length = u if other_edge % 2 == 0 else v
     i = min(int((1.0 - along) * length), length - 1)
-    return int(pyramid.firsts[level, other]) + _rim(there, i, u, v, u + 2, 1)
+    return int(pyramid.firsts[level, other]) + _rim(other_edge, i, u, v, u + 2, 1)

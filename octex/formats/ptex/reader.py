@@ -115,9 +115,9 @@ class PtexFile:
 
         at = layout.HEADER.itemsize + length
         sizes = {name: int(header[name]) for name in ("face_info", "constants", "level_info", "level_data")}
-        places = {}
+        sections = {}
         for name, size in sizes.items():
-            places[name] = at, size
+            sections[name] = at, size
             at += size
         has_metadata = header["metadata_zipped"] > 0 or extended["large_zipped"] > 0
         self._metadata_at = at, int(header["metadata_zipped"]), int(header["metadata"])
@@ -125,25 +125,24 @@ class PtexFile:
         self._large_end = at + self._metadata_at[1] + layout.BARRIER + large
         if max(at, self._large_end if has_metadata else 0) > self._size:
             raise self._refusal("it ends early")
-        self._constants_at = places["constants"]
-        self._level = self._level_in(*places["level_info"], *places["level_data"])
+        self._constants_at = sections["constants"]
+        first, room = sections["level_data"]
+        info = np.frombuffer(self._read(*sections["level_info"]), layout.LEVEL_INFO)[0]
+        length, level_header, faces = info.tolist()
+        if faces != self.n_faces:
+            raise self._refusal("its levels have another number of faces than it has")
+        if level_header > length or length > room:
+            raise self._refusal("a level is larger than all of them")
+        #: where the first level begins, its bytes, and those of its header
+        self._level = first, length, level_header
         self._info = np.frombuffer(
-            self._inflated(*places["face_info"], self.n_faces * layout.FACE_INFO.itemsize), layout.FACE_INFO
+            self._inflated(*sections["face_info"], self.n_faces * layout.FACE_INFO.itemsize), layout.FACE_INFO
         ).copy()
         self._read_edits(extended, at if not has_metadata else self._large_end)
         self._check_faces()
         log2, neighbors, across, subfaces = layout.unpacked_faces(self._info)
         self.faces = Faces(locked(log2), locked(neighbors), locked(across), locked(subfaces))
         self.is_constant: Bools = locked(self._info["flags"] & layout.IS_CONSTANT != 0)
-
-    def _level_in(self, at: int, size: int, first: int, room: int) -> tuple[int, int, int]:
-        """Return where the first level begins, its bytes, and those of its header."""
-        length, header, faces = np.frombuffer(self._read(at, size), layout.LEVEL_INFO)[0].tolist()
-        if faces != self.n_faces:
-            raise self._refusal("its levels have another number of faces than it has")
-        if header > length or length > room:
-            raise self._refusal("a level is larger than all of them")
-        return first, length, header
 
     def _read_edits(self, extended: np.void, end: int) -> None:
         """Note the positions of edits; those of faces replace the face's record."""
@@ -158,22 +157,22 @@ class PtexFile:
         elif end < self._size:  # older files have edits from the barrier to the end
             at = max(at, self._large_end)
         data = self._read(at, stop - at) if at < stop else b""
-        place = 0
-        while place + 5 <= len(data):
-            kind, size = data[place], int.from_bytes(data[place + 1 : place + 5], "little")
-            begin, place = place + 5, place + 5 + size
-            if place > len(data):
+        position = 0
+        while position + 5 <= len(data):
+            kind, size = data[position], int.from_bytes(data[position + 1 : position + 5], "little")
+            begin, position = position + 5, position + 5 + size
+            if position > len(data):
                 raise self._refusal("an edit ends early")
             if kind == layout.EDIT_FACE:
                 start = begin + 4 + layout.FACE_INFO.itemsize
-                if start + 4 + self._pixel > place:
+                if start + 4 + self._pixel > position:
                     raise self._refusal("an edit of a face is too short")
                 face = int.from_bytes(data[begin : begin + 4], "little")
                 if face >= self.n_faces:
                     raise self._refusal(f"an edit of face {face}; it has {self.n_faces}")
                 self._info[face] = np.frombuffer(data[begin + 4 : start], layout.FACE_INFO)[0]
                 self._info[face]["flags"] |= layout.HAS_EDITS
-                self._edited[face] = at + start, at + place
+                self._edited[face] = at + start, at + position
             elif kind == layout.EDIT_METADATA:
                 if size < 8:
                     raise self._refusal("an edit of metadata is too short")
@@ -299,21 +298,21 @@ class PtexFile:
     @cached_property
     def metadata(self) -> dict[str, str]:
         """The stored texts by name, without large metadata."""
-        found: dict[str, str] = {}
+        texts: dict[str, str] = {}
         for at, zipped, size in (self._metadata_at, *self._metadata_edits):
-            data, place = self._inflated(at, zipped, size) if size else b"", 0
-            while place < len(data):
-                after = place + 1 + data[place]
-                if not data[place] or after + 5 > len(data):
+            data, position = self._inflated(at, zipped, size) if size else b"", 0
+            while position < len(data):
+                after = position + 1 + data[position]
+                if not data[position] or after + 5 > len(data):
                     raise self._refusal("an entry of the metadata ends early")
-                key, kind = data[place + 1 : after], data[after]
-                place = after + 5 + int.from_bytes(data[after + 1 : after + 5], "little")
-                if place > len(data) or kind >= layout.METADATA_TYPES:
+                key, kind = data[position + 1 : after], data[after]
+                position = after + 5 + int.from_bytes(data[after + 1 : after + 5], "little")
+                if position > len(data) or kind >= layout.METADATA_TYPES:
                     raise self._refusal("an entry of the metadata ends early or is of an unknown type")
                 if kind == layout.TEXT:
-                    name, value = (each.split(b"\0", 1)[0] for each in (key, data[after + 5 : place]))
-                    found[name.decode("utf-8", "replace")] = value.decode("utf-8", "replace")
-        return found
+                    name, value = (each.split(b"\0", 1)[0] for each in (key, data[after + 5 : position]))
+                    texts[name.decode("utf-8", "replace")] = value.decode("utf-8", "replace")
+        return texts
 
     def _read(self, at: int, size: int) -> bytes:
         if at + size > self._size:
@@ -337,12 +336,12 @@ class PtexFile:
             raise self._refusal("a stream is too short for what it should hold")
         stream = zlib.decompressobj()
         try:
-            found = stream.decompress(data, size + 1)
+            content = stream.decompress(data, size + 1)
         except zlib.error as error:
             raise self._refusal(str(error)) from None
-        if len(found) != size or not stream.eof:
+        if len(content) != size or not stream.eof:
             raise self._refusal(f"a stream does not hold the {size:,} bytes that it should")
-        return found
+        return content
 
     def _refusal(self, why: str, what: str = "is damaged") -> ModelError:
         return ModelError(f"{self.path.name} {what}: {why}; write it again")

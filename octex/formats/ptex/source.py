@@ -59,9 +59,9 @@ class Ptex(Placeable):
 
 def _forms_of(file: PtexFile) -> list[tuple[ChannelFormat, list[int]]]:
     """Return the channels of a file, each with its components of a texel."""
-    noted = file.metadata.get(CHANNELS_KEY)
-    if isinstance(noted, str):
-        return _noted(file, noted)
+    names = file.metadata.get(CHANNELS_KEY)
+    if isinstance(names, str):
+        return _named_forms(file, names)
     alpha = file.alpha_channel
     if alpha is None and file.n_channels in (2, 4):
         alpha = file.n_channels - 1
@@ -72,27 +72,27 @@ def _forms_of(file: PtexFile) -> list[tuple[ChannelFormat, list[int]]]:
             "colour and alpha"
         )
     lanes = others if len(others) == 3 else others * 3
-    made = [(BASE_COLOR, lanes)]
-    return made if alpha is None else [*made, (ALPHA, [alpha])]
+    forms = [(BASE_COLOR, lanes)]
+    return forms if alpha is None else [*forms, (ALPHA, [alpha])]
 
 
-def _noted(file: PtexFile, noted: str) -> list[tuple[ChannelFormat, list[int]]]:
+def _named_forms(file: PtexFile, text: str) -> list[tuple[ChannelFormat, list[int]]]:
     try:
-        rows = json.loads(noted)
-        made, first = [], 0
+        rows = json.loads(text)
+        forms, first = [], 0
         for name, components, space in rows:
-            known = CHANNELS[name]
-            if components != known.components:
+            form = CHANNELS[name]
+            if components != form.components:
                 raise ValueError(name)
-            made.append((known._replace(space=space), list(range(first, first + components))))
+            forms.append((form._replace(space=space), list(range(first, first + components))))
             first += components
-        if first != file.n_channels or not made:
+        if first != file.n_channels or not forms:
             raise ValueError("components")
     except (ValueError, TypeError, KeyError, RecursionError):
         raise ModelError(
             f"{file.path.name} is damaged: its {CHANNELS_KEY} do not name channels; write it again"
         ) from None
-    return made
+    return forms
 
 
 class _PtexSource(Source):
@@ -102,7 +102,7 @@ class _PtexSource(Source):
         self._patches = patches_of(mesh, file.mesh_type)
         check_fit(mesh, self._patches, file.faces, file.path.name)
         texels, log2 = file.all_texels()
-        columns, made = [], []
+        columns, light_forms = [], []
         for form, lanes in forms:
             space = form.space if texels.dtype.kind == "u" or form.space != "srgb" else "linear"
             values = decode(texels[:, lanes], space)
@@ -114,11 +114,11 @@ class _PtexSource(Source):
             elif form.dtype in ONE and texels.dtype.itemsize > 1:
                 form = form._replace(dtype="uint16")
             columns.append(values)
-            made.append(form)
-        self._channels = tuple(made)
+            light_forms.append(form)
+        self._channels = tuple(light_forms)
         values = np.concatenate(columns, axis=1, dtype=np.float32)
         self._field = TexelField(
-            values, file.faces._replace(log2=log2), made, mesh, self._patches, file.border_modes
+            values, file.faces._replace(log2=log2), light_forms, mesh, self._patches, file.border_modes
         )
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:

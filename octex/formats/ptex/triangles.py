@@ -40,9 +40,9 @@ def _fill_corners(
             for size in range(coarsest[vertex] + 1):
                 last = (1 << size) - 1
                 column, row = last if corner == 1 else 0, last if corner == 2 else 0
-                at = pyramid.firsts[log2 - size, face] + (row + 1) * (last + 3) + column + 1
+                texel = pyramid.firsts[log2 - size, face] + (row + 1) * (last + 3) + column + 1
                 for k in range(columns):
-                    values[firsts[vertex] + size, k] += pixels[at, k] / np.float32(counts[vertex])
+                    values[firsts[vertex] + size, k] += pixels[texel, k] / np.float32(counts[vertex])
     left, right = np.zeros(columns, np.float32), np.zeros(columns, np.float32)
     for face in range(vertices.shape[0]):
         log2 = int(pyramid.log2[0, face, 0])
@@ -50,30 +50,31 @@ def _fill_corners(
             size = log2 - level
             side = 1 << size
             for edge in range(3):
-                other, there = int(neighbors[face, edge]), int(edges[face, edge])
-                if there > 2:
+                other, other_edge = int(neighbors[face, edge]), int(edges[face, edge])
+                if other_edge > 2:
                     other = -1
                 common = size if other < 0 else min(size, int(pyramid.log2[0, other, 0]))
                 step = 1 << (size - common)
                 for coarse in range(1 << common):
                     for end in range(2):
-                        to, place = (left, coarse) if end == 0 else (right, coarse + 1)
-                        if place == 0 or place == 1 << common:
-                            vertex = vertices[face, (edge if place == 0 else edge + 1) % 3]
-                            to[:] = values[firsts[vertex] + min(size, coarsest[vertex])]
+                        target, along = (left, coarse) if end == 0 else (right, coarse + 1)
+                        if along == 0 or along == 1 << common:
+                            vertex = vertices[face, (edge if along == 0 else edge + 1) % 3]
+                            target[:] = values[firsts[vertex] + min(size, coarsest[vertex])]
                             continue
-                        to[:] = np.float32(0.0)
+                        target[:] = np.float32(0.0)
                         share = np.float32(1.0) if other < 0 else np.float32(0.5)
-                        _add_around(pyramid, face, log2 - common, edge, place, share, to)
+                        _add_around(pyramid, face, log2 - common, edge, along, share, target)
                         if other >= 0:
-                            its = int(pyramid.log2[0, other, 0]) - common
-                            _add_around(pyramid, other, its, there, (1 << common) - place, share, to)
+                            other_level = int(pyramid.log2[0, other, 0]) - common
+                            along = (1 << common) - along
+                            _add_around(pyramid, other, other_level, other_edge, along, share, target)
                     for fine in range(step):
                         a, b = _on_edge(side, edge, coarse * step + fine)
-                        at = pyramid.firsts[level, face] + _rim(side, a, b)
+                        texel = pyramid.firsts[level, face] + _rim(side, a, b)
                         part = np.float32(fine / step)
                         for k in range(columns):
-                            pixels[at, k] = left[k] + part * (right[k] - left[k])
+                            pixels[texel, k] = left[k] + part * (right[k] - left[k])
 
 
 @inlined
@@ -98,17 +99,17 @@ def _rim(side: int, a: int, b: int) -> int:
 
 @inlined
 def _add_around(
-    pyramid: Pyramid, face: int, level: int, edge: int, along: int, share: np.float32, to: Float32s
+    pyramid: Pyramid, face: int, level: int, edge: int, along: int, share: np.float32, sums: Float32s
 ) -> None:
     """Add a share of the mean of the three texels of a face around a corner on its edge."""
     side = 1 << pyramid.log2[level, face, 0]
     a, b = _on_edge(side, edge, along)
-    for each in range(6):
-        column, row = _around(side, a, b, each)
+    for number in range(6):
+        column, row = _around(side, a, b, number)
         if column >= 0:
-            at = pyramid.firsts[level, face] + (row + 1) * (side + 2) + column + 1
-            for k in range(to.size):
-                to[k] += share / np.float32(3.0) * pyramid.pixels[at, k]
+            texel = pyramid.firsts[level, face] + (row + 1) * (side + 2) + column + 1
+            for k in range(sums.size):
+                sums[k] += share / np.float32(3.0) * pyramid.pixels[texel, k]
 
 
 @inlined
@@ -121,7 +122,7 @@ def _triangle_texel(side: int, i: int, j: int, is_tip: bool) -> tuple[int, int]:
 
 @inlined
 def add_triangle(
-    pixels: Float32s, first: int, side: int, x: float, y: float, share: np.float32, to: Float32s
+    pixels: Float32s, first: int, side: int, x: float, y: float, share: np.float32, sums: Float32s
 ) -> None:
     """Add the value at (x, y) in cells, linear between texels' centres and corners."""
     i, j = min(int(x), side - 1), min(int(y), side - 1)
@@ -138,9 +139,9 @@ def add_triangle(
     least = min(p, min(q, r))
     column, row = _triangle_texel(side, i, j, is_tip)
     centre = share * np.float32(3.0 * least)
-    at = first + (row + 1) * (side + 2) + column + 1
-    for k in range(to.size):
-        to[k] += centre * pixels[at, k]
+    texel = first + (row + 1) * (side + 2) + column + 1
+    for k in range(sums.size):
+        sums[k] += centre * pixels[texel, k]
     for corner in range(3):
         weight = (p if corner == 0 else (q if corner == 1 else r)) - least
         if weight <= 0.0:
@@ -153,31 +154,31 @@ def add_triangle(
             a += 1 if corner == 1 else 0
             b += 1 if corner == 2 else 0
         if a == 0 or b == 0 or a + b == side:
-            at, part = first + _rim(side, a, b), share * np.float32(weight)
-            for k in range(to.size):
-                to[k] += part * pixels[at, k]
+            texel, part = first + _rim(side, a, b), share * np.float32(weight)
+            for k in range(sums.size):
+                sums[k] += part * pixels[texel, k]
             continue
         part = share * np.float32(weight / 6.0)
-        for each in range(6):
-            column, row = _around(side, a, b, each)
-            at = first + (row + 1) * (side + 2) + column + 1
-            for k in range(to.size):
-                to[k] += part * pixels[at, k]
+        for number in range(6):
+            column, row = _around(side, a, b, number)
+            texel = first + (row + 1) * (side + 2) + column + 1
+            for k in range(sums.size):
+                sums[k] += part * pixels[texel, k]
 
 
 @inlined
-def _around(side: int, a: int, b: int, each: int) -> tuple[int, int]:
+def _around(side: int, a: int, b: int, number: int) -> tuple[int, int]:
     """Return the column and row of one of six texels around a corner of cells, −1 if it is missing."""
     i, j, is_tip = a, b, False
-    if each == 1:
+    if number == 1:
         i = a - 1
-    elif each == 2:
+    elif number == 2:
         j = b - 1
-    elif each == 3:
+    elif number == 3:
         i, is_tip = a - 1, True
-    elif each == 4:
+    elif number == 4:
         j, is_tip = b - 1, True
-    elif each == 5:
+    elif number == 5:
         i, j, is_tip = a - 1, b - 1, True
     if i < 0 or j < 0 or i + j > side - (2 if is_tip else 1):
         return -1, -1

@@ -107,20 +107,20 @@ def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple
     groups = list(_groups(faces.log2, firsts, ~is_constant, pixel))
     small = [each for each in groups if pixel << each.u + each.v < _SHARED]
     large = [each for each in groups if pixel << each.u + each.v >= _SHARED]
-    done = chain(
+    encoded = chain(
         zip(large, ordered_map(executor, encode, large), strict=True),
         zip(small, map(encode, small), strict=True),
     )
-    for group, (averages, found) in done:
+    for group, (averages, level_blocks) in encoded:
         sums[group.faces] = averages
-        for level, (group_words, group_blocks) in enumerate(found):
+        for level, (group_words, group_blocks) in enumerate(level_blocks):
             numbers = group.faces if level == 0 else places[group.faces]
             words[level][numbers] = group_words
             for number, block in zip(numbers.tolist(), group_blocks, strict=True):
                 blocks[level][number] = block
     heads = [zlib.compress(each.astype("<u4").tobytes(), 9) for each in words]
-    made = [[head, *level] for head, level in zip(heads, blocks, strict=True)]
-    return made, _stored(sums, dtype).astype(dtype.newbyteorder("<"))
+    levels = [[head, *level] for head, level in zip(heads, blocks, strict=True)]
+    return levels, _stored(sums, dtype).astype(dtype.newbyteorder("<"))
 
 
 class _Group(NamedTuple):
@@ -132,11 +132,11 @@ class _Group(NamedTuple):
     v: int
 
 
-def _groups(log2: Int8s, firsts: Int64s, wanted: Bools, pixel: int) -> Iterator[_Group]:
+def _groups(log2: Int8s, firsts: Int64s, chosen_faces: Bools, pixel: int) -> Iterator[_Group]:
     key = log2[:, 0].astype(np.int64) << 8 | log2[:, 1]
-    for each in np.unique(key[wanted]).tolist():
+    for each in np.unique(key[chosen_faces]).tolist():
         u, v = each >> 8, each & 255
-        chosen = np.flatnonzero(wanted & (key == each))
+        chosen = np.flatnonzero(chosen_faces & (key == each))
         step = max(_TOGETHER // (pixel << u + v), 1)
         for begin in range(0, len(chosen), step):
             part = chosen[begin : begin + step]
@@ -150,18 +150,18 @@ def _encoded_group(
     u, v = group.u, group.v
     rows = group.firsts[:, None] + np.arange(1 << u + v)
     values = texels[rows].reshape(len(rows), 1 << v, 1 << u, -1)
-    found = [_encoded(values)]
+    levels = [_encoded(values)]
     exact = values.astype(np.float64)
     if alpha is not None:
         multiply(exact, alpha, ONE[texels.dtype.name])
     for _ in range(1, min(u, v) - 1):
         exact = halved(exact, is_triangle)
-        found.append(_encoded(_stored(exact, texels.dtype)))
+        levels.append(_encoded(_stored(exact, texels.dtype)))
     averages = exact.mean(axis=(1, 2))
     if alpha is not None:
         share = averages[:, alpha, None] / ONE[texels.dtype.name]
         averages[:, _colors(alpha)] /= np.where(share == 0, 1.0, share)
-    return averages, found
+    return averages, levels
 
 
 def _encoded(values: Array) -> tuple[Uint32s, list[bytes]]:
@@ -190,28 +190,28 @@ def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
     planar = np.ascontiguousarray(np.moveaxis(values, 3, 1)).reshape(count, -1)
     little = values.dtype.newbyteorder("<")
     size = planar.shape[1] * values.dtype.itemsize
-    kept = planar.astype(little, copy=False).view(np.uint8)
+    plain = planar.astype(little, copy=False).view(np.uint8)
     encodings = np.full(count, layout.ZIPPED, np.uint32)
     blocks: list[bytes]
     if values.dtype.kind == "u":
         steps = np.empty_like(planar)
         steps[:, 0] = planar[:, 0]
         np.subtract(planar[:, 1:], planar[:, :-1], out=steps[:, 1:])
-        other = steps.astype(little, copy=False).view(np.uint8)
+        differences = steps.astype(little, copy=False).view(np.uint8)
         if size < _TRIED:
-            is_other = _promise(other) <= _promise(kept) + _UNSURE
-            chosen = np.where(is_other[:, None], other, kept).tobytes()
-            encodings[is_other] = layout.DIFFERENCED
+            is_differenced = _estimated_bits(differences) <= _estimated_bits(plain) + _UNSURE
+            chosen = np.where(is_differenced[:, None], differences, plain).tobytes()
+            encodings[is_differenced] = layout.DIFFERENCED
             blocks = [zlib.compress(chosen[at : at + size], 6, 9) for at in range(0, len(chosen), size)]
         else:
             blocks = []
-            for number, (row, steps_of_row) in enumerate(zip(kept, other, strict=True)):
-                plain, differenced = zlib.compress(row.tobytes()), zlib.compress(steps_of_row.tobytes())
-                blocks.append(min(differenced, plain, key=len))
-                if len(differenced) <= len(plain):
+            for number, (row, steps_of_row) in enumerate(zip(plain, differences, strict=True)):
+                zipped, differenced = zlib.compress(row.tobytes()), zlib.compress(steps_of_row.tobytes())
+                blocks.append(min(differenced, zipped, key=len))
+                if len(differenced) <= len(zipped):
                     encodings[number] = layout.DIFFERENCED
     else:
-        blocks = [zlib.compress(row.tobytes()) for row in kept]
+        blocks = [zlib.compress(row.tobytes()) for row in plain]
     whole = np.ascontiguousarray(values).view(np.uint8).reshape(count, -1, values.shape[3] * little.itemsize)
     for number in np.flatnonzero((whole == whole[:, :1]).all(axis=(1, 2))).tolist():
         blocks[number] = whole[number, 0].tobytes()
@@ -220,7 +220,7 @@ def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
     return sizes | encodings << np.uint32(layout.BLOCK_BITS), blocks
 
 
-def _promise(rows: Array) -> Int64s:
+def _estimated_bits(rows: Array) -> Int64s:
     """Estimate zlib's bits for rows of bytes (n, k): 8, from 144 on 9, in runs of equal bytes 1."""
     bits = (rows >= 144) + np.uint8(8)
     is_same = rows[:, 1:] == rows[:, :-1]
