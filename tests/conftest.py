@@ -2,8 +2,9 @@
 
 import os
 from contextlib import suppress
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 # The other processors have tests to run, and threads that wait for work in BLAS spin. Read with numpy.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -31,7 +32,52 @@ def pytest_xdist_auto_num_workers(config):
 
     One process more than processors: those that wait for a browser leave theirs idle four tenths of the time.
     """
-    return cpu_count() + 1 if config.args_source is pytest.Config.ArgsSource.TESTPATHS else 0
+    return cpu_count() + 1 if _runs_all(config) else 0
+
+
+def _runs_all(config):
+    return config.args_source is pytest.Config.ArgsSource.TESTPATHS
+
+
+@cache
+def _claims(config):
+    """Return a folder for as long as pytest runs."""
+    folder = TemporaryDirectory()
+    config.add_cleanup(folder.cleanup)
+    return folder.name
+
+
+def pytest_configure_node(node):
+    """Let processes share what the whole suite compiles: two that need a kernel at once compile it twice."""
+    chosen = node.config.option.keyword or node.config.option.markexpr
+    if _runs_all(node.config) and not chosen and not jit.DISABLED:
+        node.workerinput["claims"] = _claims(node.config)
+
+
+def pytest_sessionstart(session):
+    """Compile kernels, but in the first process: it collects, and writes Python's bytecode for the others."""
+    given = getattr(session.config, "workerinput", {})
+    if given.get("workerid") != "gw0":
+        _compile_share(given)
+
+
+def pytest_collection_finish(session):
+    """Compile kernels in the first process too."""
+    _compile_share(getattr(session.config, "workerinput", {}))
+
+
+def _compile_share(given):
+    """Compile the kernels of those modules that no other process has claimed."""
+    if "claims" not in given:
+        return
+    listed = {}
+    for line in ahead.lines(*ahead.SECTIONS):
+        listed.setdefault(line.partition(":")[0], []).append(line)
+    for module, lines in sorted(listed.items(), key=lambda item: -len("".join(item[1]))):
+        with suppress(FileExistsError):
+            (Path(given["claims"]) / module).mkdir()  # by one process alone
+            for line in lines:
+                ahead._compile(line)
 
 
 def pytest_collection_modifyitems(items):
@@ -45,22 +91,6 @@ def no_helpers():
     with pytest.MonkeyPatch.context() as changed:
         changed.setattr(ahead, "cpu_count", lambda: 1)
         yield
-
-
-@pytest.fixture(scope="session", autouse=True)
-def compiled(request, tmp_path_factory):
-    """Share what the suite compiles among its processes: two that need a kernel at once compile it twice."""
-    if jit.DISABLED or len(request.session.items) < 1000 or not hasattr(request.config, "workerinput"):
-        return
-    listed = {}
-    for line in ahead.lines(*ahead.SECTIONS):
-        listed.setdefault(line.partition(":")[0], []).append(line)
-    for module, lines in sorted(listed.items(), key=lambda item: -len("".join(item[1]))):
-        claim = tmp_path_factory.getbasetemp().parent / f"compiles-{module}"
-        with suppress(FileExistsError):
-            claim.mkdir()  # by one process alone
-            for line in lines:
-                ahead._compile(line)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -13,6 +13,7 @@ import numpy.typing as npt
 import octex
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
+from tests.make.browser import sharp
 from tests.make.fixtures import saved
 from tests.make.same import assert_same
 from tests.make.studio import Studio
@@ -56,10 +57,9 @@ class Easel(Studio):
         self.shown.wait_for_function(
             """(({ commands, status }) =>
               !commands.waiting.length && (status.finished[commands.page] ?? 0) === commands.number
-            )(viewer.painting)""",
-            timeout=60_000,
+            )(viewer.painting)"""
         )
-        self.shown.wait_for_function("viewer.isSharp", timeout=60_000)
+        sharp(self.shown)
 
     def lay(self, image: npt.NDArray[np.uint8], name: str = "photo.png") -> None:
         """Choose an image as stencil."""

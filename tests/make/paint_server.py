@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-import zlib
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 import octex
+from tests.make.strokes import camera_sent, deflated, plain
 
 PAGE = "0123abcd-0123"
 _ROOT = Path(__file__).resolve().parents[2]
@@ -26,7 +26,7 @@ _PROGRAM = "import sys; from octex.cli.start import octex; sys.exit(octex())"
 
 def command(kind: str, number: int, **given: Any) -> bytes:
     """Return a command without content."""
-    return json.dumps({"page": PAGE, "number": number, "kind": kind, **given}).encode() + b"\n"
+    return plain(kind, number, PAGE, **given)
 
 
 def disc(number: int, camera: octex.Camera, middle: npt.ArrayLike, radius: float, color: list[int]) -> bytes:
@@ -36,12 +36,8 @@ def disc(number: int, camera: octex.Camera, middle: npt.ArrayLike, radius: float
     top, bottom = int(max(y - radius, 0)), int(min(y + radius + 1, height))
     rows, columns = np.mgrid[top:bottom, left:right] + 0.5
     coverage = np.clip(128 * (radius - np.hypot(columns - x, rows - y)), 0, 255).astype(np.uint8)
-    packer = zlib.compressobj(6, zlib.DEFLATED, -15)
-    view = {"width": width, "height": height, "K": camera.K.tolist()}
-    view["pose"] = camera.world_to_camera.tolist()
-    box = [left, top, right, bottom]
-    head = command("stroke", number, camera=view, box=box, color=color, opacity=0.6)
-    return head + packer.compress(coverage.tobytes()) + packer.flush()
+    fields = {"camera": camera_sent(camera), "box": [left, top, right, bottom], "color": color}
+    return command("stroke", number, **fields, opacity=0.6) + deflated(coverage.tobytes())
 
 
 class PaintServer:

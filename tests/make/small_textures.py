@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import BASE_COLOR
+from octex.channels import BASE_COLOR, ChannelFormat
 from octex.texture import Channel, OctreeTexture
+from octex.texture.channel import row_counts
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -44,6 +45,12 @@ def shell(depth: int, keep: float = 0.3) -> OctreeTexture:
     kept_values = random.integers(0, 256, (tree.kept.cells.size, 3), dtype=np.uint8)
     channel = Channel(BASE_COLOR, values, split_values, kept_values)
     return OctreeTexture(tree, {"base_color": channel}, UNIT, UNIT_BOUNDS)
+
+
+def with_channel(texture: OctreeTexture, form: ChannelFormat, code: float) -> OctreeTexture:
+    """Return a texture with one more channel, of one code everywhere."""
+    parts = (np.full((count, form.components), code, form.dtype) for count in row_counts(texture.tree))
+    return texture.with_cells(texture.tree, {**texture.channels, form.name: Channel(form, *parts)})
 
 
 def unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

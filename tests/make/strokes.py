@@ -34,7 +34,7 @@ def camera() -> octex.Camera:
 
 def camera_sent(seen_by: octex.Camera) -> dict[str, Any]:
     pose, K = seen_by.world_to_camera.tolist(), seen_by.K.tolist()
-    return {"width": SIZE[0], "height": SIZE[1], "K": K, "pose": pose}
+    return {"width": seen_by.width, "height": seen_by.height, "K": K, "pose": pose}
 
 
 def stroke(number: int, page: str = PAGE, **given: Any) -> bytes:

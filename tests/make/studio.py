@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 import octex
 from octex.session.painting import Session
+from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer
@@ -32,40 +33,48 @@ _HOLD = """() => {
 _STATE = """() => ({
   brush: { ...viewer.painting.brush },
   view: viewer.camera.state,
+  scale: viewer.maxScale,
   open: [...document.querySelectorAll("aside details[open]")].map((each) => each.id),
 })"""
-_RESTORE = """({ brush, view, open }) => {
+_RESTORE = """({ brush, view, scale, open }) => {
   const { painting, camera } = viewer;
   globalThis.release?.(); // a test that failed holds answers back
   painting.set(brush);
   painting.selectTool("brush");
   for (const each of document.querySelectorAll("aside details")) each.open = open.includes(each.id);
   camera.restore(view);
+  viewer.maxScale = scale;
   viewer.invalidate();
   for (let n = painting.status.done; n > 0; n--) painting.undo();
 }"""
 
 
 class Studio:
-    """A model that is painted in a page: a grey ball."""
+    """A model that is painted in a page: by default a grey ball."""
 
-    def __init__(self, browser: Any, folder: Path, surface: Surface | None = None, depth: int = 6) -> None:
+    def __init__(
+        self,
+        browser: Any,
+        folder: Path,
+        surface: Surface | None = None,
+        texture: OctreeTexture | None = None,
+        *,
+        depth: int = 6,
+        motion: Motion | None = None,
+    ) -> None:
+        self.browser, self.output = browser, folder / "out.octex"
         self.surface: Surface = surface or ball(32)
         if surface is None:
             surface = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
-        self.texture: OctreeTexture = octex.convert(surface, depth=depth)
-        self.start(browser, folder)
-
-    def start(self, browser: Any, folder: Path) -> None:
-        self.output = folder / "out.octex"
-        self.session = Session(self.texture, self.surface, self.output)
-        self.viewer = Viewer(lambda: self.texture, folder / "ball.octex", self.surface, session=self.session)
-        self.browser = browser
+        self.texture = texture or octex.convert(surface, depth=depth)
+        self.session = Session(self.texture, self.surface, self.output, motion=motion)
+        path, shown = folder / "ball.octex", {"motion": motion, "session": self.session}
+        self.viewer = Viewer(lambda: self.texture, path, self.surface, **shown)
 
     def page(self) -> Any:
         """Open a page."""
         page = opened(self.browser, self.viewer.url, SIZE)
-        page.wait_for_function("viewer.painting && viewer.isSharp", timeout=60_000)
+        page.wait_for_function("viewer.painting && viewer.isSharp")
         return page
 
     @contextmanager
@@ -101,7 +110,6 @@ class Studio:
         page.wait_for_function(
             "(n) => (viewer.painting.status.finished[viewer.painting.commands.page] ?? 0) === n",
             arg=page.evaluate("viewer.painting.commands.number") if number is None else number,
-            timeout=60_000,
         )
 
     @contextmanager
@@ -118,14 +126,19 @@ class Studio:
 
     def drag(self, page: Any, *places: tuple[float, float], steps: int = 5, **options: Any) -> None:
         """Press a button at the first place, from the middle of the image, and drag it on."""
-        box = page.locator("#image").bounding_box()
-        left, top = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        left, top = middle(page)
         places = [(left + x, top + y) for x, y in places]
         page.mouse.move(*places[0])
         page.mouse.down(**options)
         for place in places[1:]:
             page.mouse.move(*place, steps=steps)
         page.mouse.up(**options)
+
+
+def middle(page: Any) -> tuple[float, float]:
+    """Return the middle of the image in the window, in pixels."""
+    box = page.locator("#image").bounding_box()
+    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
 def imaged(page: Any, **more: Any) -> npt.NDArray[np.int64]:

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-import octex
+from tests.make.browser import sharp
 from tests.make.painted import balls
-from tests.make.studio import Studio, imaged
+from tests.make.studio import Studio, imaged, middle
 from tests.viewer.test_paint_commands import BLENDS
 
 
@@ -125,7 +125,7 @@ def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio, page)
     edge = studio.texture.placement.size
     for zoom in (1, 2.5):
         page.evaluate("(zoom) => { viewer.camera.zoom(zoom); viewer.invalidate(); }", zoom)
-        page.wait_for_function("viewer.isSharp", timeout=60_000)
+        sharp(page)
         before = studio.session.shown.texture
         studio.drag(page, (0, 0), (0, 0))
         studio.is_done(page)
@@ -138,8 +138,7 @@ def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio, page)
 
 
 def test_the_unit_changes_and_the_size_stays(page):
-    box = page.locator("#image").bounding_box()
-    page.mouse.move(box["width"] / 2, box["height"] / 2)
+    page.mouse.move(*middle(page))
     page.evaluate("document.getElementById('brush-section').open = true")
     page.select_option("#unit", "model")
     assert page.evaluate("viewer.painting.brush.size") != 40
@@ -150,8 +149,7 @@ def test_the_unit_changes_and_the_size_stays(page):
 
 
 def test_a_pen_s_pressure_changes_what_it_is_set_to(studio, page):
-    box = page.locator("#image").bounding_box()
-    middle = box["width"] / 2, box["height"] / 2
+    left, top = middle(page)
     pen = page.context.new_cdp_session(page)
 
     def pressed(how):
@@ -159,7 +157,7 @@ def test_a_pen_s_pressure_changes_what_it_is_set_to(studio, page):
         event = {"button": "left", "clickCount": 1, "pointerType": "pen"}
         with studio.held(page):
             for kind, right, force in (("Pressed", 0, 0.2), ("Moved", 30, 0.5), ("Moved", 60, 0.8)):
-                place = {"x": middle[0] - 30 + right, "y": middle[1], "force": force, "buttons": 1}
+                place = {"x": left - 30 + right, "y": top, "force": force, "buttons": 1}
                 pen.send("Input.dispatchMouseEvent", {"type": f"mouse{kind}", **event, **place})
             pen.send("Input.dispatchMouseEvent", {"type": "mouseReleased", **event, **place, "buttons": 0})
         return sent(studio, page)
@@ -167,7 +165,7 @@ def test_a_pen_s_pressure_changes_what_it_is_set_to(studio, page):
     heights, codes = {}, {}
     for how in ("size", "opacity", "both", ""):
         covered = pressed(how)
-        near, far = (covered[:, int(middle[0]) + x] for x in (-29, 29))
+        near, far = (covered[:, int(left) + x] for x in (-29, 29))
         heights[how], codes[how] = [(each > 60).sum() / 30 for each in (near, far)], [near.max(), far.max()]
     assert heights["size"] == pytest.approx([0.35, 0.8], abs=0.12)
     assert codes["size"] == [255, 255]
@@ -206,7 +204,7 @@ def test_the_way_of_a_pen_is_a_curve_through_its_places(page):
 
 
 def test_the_outline_shows_how_the_surface_is_turned(page):
-    box = page.locator("#image").bounding_box()
+    left, top = middle(page)
     needle = "document.querySelector('#ring i').getBoundingClientRect()"
     turned = {
         (0, 0): "width < 4 && height < 4",
@@ -214,18 +212,18 @@ def test_the_outline_shows_how_the_surface_is_turned(page):
         (0, -100): "width < 4 && height > 6",
     }
     for (x, y), expected in turned.items():
-        page.mouse.move(box["x"] + box["width"] / 2 + x, box["y"] + box["height"] / 2 + y)
-        page.wait_for_function(f"(({{ width, height }}) => {expected})({needle})", timeout=60_000)
+        page.mouse.move(left + x, top + y)
+        page.wait_for_function(f"(({{ width, height }}) => {expected})({needle})")
     page.evaluate(  # moved to a place before the image is drawn
         """([x, y]) => {
           viewer.invalidate();
           const place = { clientX: x, clientY: y, bubbles: true };
           viewer.canvas.dispatchEvent(new PointerEvent("pointermove", place));
         }""",
-        [box["x"] + box["width"] / 2 + 100, box["y"] + box["height"] / 2],
+        [left + 100, top],
     )
-    page.wait_for_function(f"(({{ width, height }}) => {turned[100, 0]})({needle})", timeout=60_000)
-    page.wait_for_function("viewer.isSharp")
+    page.wait_for_function(f"(({{ width, height }}) => {turned[100, 0]})({needle})")
+    sharp(page)
     found, drawn = page.evaluate("""async () => {
       const { hitAt } = await import("./hit.js"), { gl, canvas } = viewer.gpu, drawn = [];
       const names = Object.getOwnPropertyNames(WebGL2RenderingContext.prototype);
@@ -283,7 +281,7 @@ def turned(page, turn):
     page.evaluate(
         "(turn) => { viewer.camera.turn = turn; viewer.camera.tilt = 0.1; viewer.invalidate(); }", turn
     )
-    page.wait_for_function("viewer.isSharp", timeout=60_000)
+    sharp(page)
 
 
 @pytest.mark.parametrize("offset", [0, 5])
@@ -309,18 +307,11 @@ def test_a_stroke_that_goes_through_is_seen_when_the_view_turns_before_it_is_bak
     assert_same_inside((before, shown, imaged(page)))
 
 
-class Pair(Studio):
-    """Two balls beside each other along x."""
-
-    def __init__(self, browser, folder):
-        self.surface = balls([2.1, 0.2, -0.3], 16, 16)
-        self.texture = octex.convert(self.surface, depth=6)
-        self.start(browser, folder)
-
-
 @pytest.fixture(scope="module")
 def pair(browser, tmp_path_factory):
-    with Pair(browser, tmp_path_factory.mktemp("pair")).shared() as found:
+    """Two balls beside each other along x."""
+    surface = balls([2.1, 0.2, -0.3], 16, 16)
+    with Studio(browser, tmp_path_factory.mktemp("pair"), surface).shared() as found:
         yield found
 
 

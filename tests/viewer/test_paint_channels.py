@@ -9,11 +9,10 @@ import octex
 from octex.channels import ChannelFormat, decode, encode
 from octex.editing.draft import Change, joined_change
 from octex.session.painting import Session
-from octex.texture import Channel
-from octex.texture.channel import row_counts
 from octex.viewer.changes import change_between, change_of
 from tests.make.painted import ball
 from tests.make.same import assert_same
+from tests.make.small_textures import with_channel
 from tests.make.strokes import SIZE, camera, disc, image_sent, ones, plain, stroke, take, without_color
 
 #: What the values of a command are, beside its colour.
@@ -24,13 +23,7 @@ def canvas():
     """A ball with material channels, and a height in floats."""
     surface = ball(12).with_sources({"roughness": 0.5, "metallic": 0.0, "emissive": (0.1, 0.0, 0.0)})
     form = ChannelFormat("height", 1, "data", "float16")
-    return with_values(octex.convert(surface, depth=5), form, 0), surface
-
-
-def with_values(texture, form, code):
-    """Return a texture with one more channel, of one value."""
-    parts = (np.full((count, form.components), code, form.dtype) for count in row_counts(texture.tree))
-    return texture.with_cells(texture.tree, {**texture.channels, form.name: Channel(form, *parts)})
+    return with_channel(octex.convert(surface, depth=5), form, 0), surface
 
 
 def image(number, form, value, blend="over"):
@@ -175,7 +168,7 @@ def test_random_commands_do_what_calls_of_the_library_do_and_are_recovered(seed,
             if name not in now.channels:
                 form = ChannelFormat(name, *((3, "srgb") if name == "specular" else (1, "data")))
                 history[done + 1 :], done = (
-                    [with_values(now, form, 56 if name == "specular" else 255)],
+                    [with_channel(now, form, 56 if name == "specular" else 255)],
                     done + 1,
                 )
         else:

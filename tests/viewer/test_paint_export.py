@@ -166,7 +166,7 @@ def test_the_page_downloads_a_file_with_a_proper_name_and_says_what_is_wrong(bro
     viewer = Viewer(lambda: texture, tmp_path / "ball.octex", surface, session=session)
     with serving(viewer):
         page = opened(browser, viewer.url, (800, 400), is_drawn=False)
-        page.wait_for_function("viewer.painting", timeout=60_000)
+        page.wait_for_function("viewer.painting")
         page.click("#export summary")
         page.evaluate(
             "viewer.painting.commands.send({ kind: 'fill', color: [9, 9, 9], opacity: 1, mirror: '' })"

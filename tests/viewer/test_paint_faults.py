@@ -21,7 +21,7 @@ from tests.make.browser import served as serving
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.strokes import canvas, deflated, painted, plain, stroke, take
-from tests.make.studio import imaged
+from tests.make.studio import imaged, middle
 
 
 def touched(path):
@@ -238,7 +238,7 @@ def test_the_page_asks_which_version_to_keep_and_keeps_it(browser, tmp_path):
     viewer = Viewer(lambda: texture, tmp_path / "ball.octex", surface, session=session)
     with serving(viewer):
         page = opened(browser, viewer.url, (800, 400), is_drawn=False)
-        page.wait_for_function("viewer.painting", timeout=60_000)
+        page.wait_for_function("viewer.painting")
         session.take(stroke(1))
         other = touched(output)
         page.keyboard.press("Control+s")
@@ -251,16 +251,16 @@ def test_the_page_asks_which_version_to_keep_and_keeps_it(browser, tmp_path):
         assert output.read_bytes() == other
         page.click("#take-output")  # the other one is coarser, so the page loads all again
         done = "(n) => globalThis.viewer?.painting?.status.done === n"
-        page.wait_for_function(done, arg=2, timeout=60_000)
+        page.wait_for_function(done, arg=2)
         assert page.locator("#question").is_hidden()
         assert_same(session.shown.texture, octex.open(output))
         assert page.evaluate(UNLIKE) == []
         page.keyboard.press("Control+z")
-        page.wait_for_function(done, arg=1, timeout=60_000)
+        page.wait_for_function(done, arg=1)
         touched(output)
         page.keyboard.press("Control+s")
         page.click("#replace")
-        page.wait_for_function("globalThis.viewer?.painting?.status.isSaved", timeout=60_000)
+        page.wait_for_function("globalThis.viewer?.painting?.status.isSaved")
         assert page.locator("#question").is_hidden()
         assert page.locator("#paint-note").inner_text() == "The other version is kept as out.other.octex."
         assert (tmp_path / "out.other.octex").read_bytes() == other
@@ -274,13 +274,12 @@ def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(studio, page):
     studio.drag(page, (-30, -20), (0, -20))
     studio.is_done(page)
     before = imaged(page)
-    box = page.locator("#image").bounding_box()
-    middle = box["width"] / 2, box["height"] / 2
-    page.mouse.move(*middle)
+    left, top = middle(page)
+    page.mouse.move(left, top)
     page.mouse.down()
-    page.mouse.move(middle[0] + 20, middle[1])
+    page.mouse.move(left + 20, top)
     lose_gpu(page)
-    page.mouse.move(middle[0] + 40, middle[1], steps=3)
+    page.mouse.move(left + 40, top, steps=3)
     page.mouse.up()
     restore_gpu(page)
     assert (imaged(page) == before).all()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.make.browser import camera_of
-from tests.make.studio import _HOLD
+from tests.make.studio import _HOLD, middle
 
 _BRUSH = "viewer.painting.brush"
 #: What the last stroke covers, and the box of that.
@@ -20,11 +20,6 @@ def last(page, count):
     found = page.evaluate(_LAST)
     left, top, right, bottom = box = found["box"]
     return box, np.array(found["coverage"]).reshape(bottom - top, right - left)
-
-
-def middle(page):
-    box = page.locator("#image").bounding_box()
-    return box["width"] / 2, box["height"] / 2
 
 
 def test_with_shift_a_stroke_goes_on_from_the_last_one_in_a_straight_line(studio, page):

@@ -377,7 +377,7 @@ def test_a_view_painted_in_another_program_comes_back_after_the_page_was_loaded_
     edited[100:110, 250:350] = 255, 255, 0, 255  # and some of it beside the model
     page.evaluate("viewer.camera.orbit(0.7, 0.2)")
     page.reload()
-    page.wait_for_function("globalThis.viewer?.painting && viewer.isSharp", timeout=60_000)
+    page.wait_for_function("globalThis.viewer?.painting && viewer.isSharp")
     drop(clean, name.replace(".png", " (1).png"), saved(edited))
     page.wait_for_function("viewer.painting.commands.number === 1")
     clean.done()

@@ -13,11 +13,11 @@ from octex.errors import ModelError
 from octex.session.commands import command_of, stroke_of
 from octex.session.painting import Session, mirrored
 from tests.make.browser import lose_gpu, restore_gpu
-from tests.make.painted import balls
+from tests.make.painted import ball, balls
 from tests.make.same import assert_same
 from tests.make.strokes import SIZE, assert_mirrored, camera_sent, canvas, plain, stroke, take
-from tests.make.studio import imaged
-from tests.viewer.test_paint_poses import Bending, bending
+from tests.make.studio import Studio, imaged
+from tests.viewer.test_paint_poses import bending
 from tests.viewer.test_session_refusals import SPOT
 
 
@@ -98,7 +98,7 @@ def test_pages_are_sent_a_patch_as_a_mesh(served):
 
 
 def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_model(browser, tmp_path):
-    studio = Bending(browser, tmp_path)
+    studio = Studio(browser, tmp_path, motion=bending(ball(32)))
     with studio.opened() as page:
         page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
         model, camera = imaged(page), page.evaluate("JSON.stringify(viewer.camera.state)")

@@ -7,7 +7,6 @@ import octex
 from octex.session.commands import Moment, command_of, stroke_of
 from octex.session.painting import Session, mirrored
 from octex.source.motion import Animation, Links, Motion
-from octex.viewer import Viewer
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.strokes import canvas, plain, stroke, take
@@ -71,23 +70,8 @@ def test_a_frame_of_an_animation_that_is_not_there_is_told(tmp_path):
         session.close()
 
 
-class Bending(Studio):
-    """A ball that bends, in a page."""
-
-    def __init__(self, browser, folder):
-        self.surface = ball(32)
-        grey = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
-        self.texture = octex.convert(grey, depth=6)
-        self.output, self.browser = folder / "out.octex", browser
-        motion = bending(self.surface)
-        self.session = Session(self.texture, self.surface, self.output, motion=motion)
-        self.viewer = Viewer(
-            lambda: self.texture, folder / "ball.octex", self.surface, motion=motion, session=self.session
-        )
-
-
 def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the_model(browser, tmp_path):
-    studio = Bending(browser, tmp_path)
+    studio = Studio(browser, tmp_path, motion=bending(ball(32)))
     with studio.opened() as page:
         page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
         plain_image = imaged(page)

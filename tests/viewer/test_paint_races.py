@@ -3,9 +3,9 @@
 import threading
 
 from octex.viewer import answers
-from tests.make.browser import lose_gpu, opened, restore_gpu
+from tests.make.browser import lose_gpu, opened, restore_gpu, sharp
 from tests.make.browser import served as serving
-from tests.make.studio import SIZE, Studio
+from tests.make.studio import SIZE, Studio, middle
 from tests.viewer.test_session import plain
 
 #: Counts the buffers and vertex arrays that the page has.
@@ -19,11 +19,6 @@ _COUNTED = """() => {
     }
   }
 }"""
-
-
-def middle(page):
-    box = page.locator("#image").bounding_box()
-    return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
 def press(page):
@@ -57,7 +52,7 @@ def test_a_page_that_is_not_ready_yet_gets_the_steps_that_others_make_meanwhile(
         studio.session.wait()
         page.wait_for_function("viewer.latestVersion?.startsWith('1-')")
         is_released.set()
-        page.wait_for_function("viewer.painting?.status.done === 1", timeout=60_000)
+        page.wait_for_function("viewer.painting?.status.done === 1")
         assert page.locator("#undo").is_enabled()
         assert page.complaints == []
         page.close()
@@ -66,16 +61,16 @@ def test_a_page_that_is_not_ready_yet_gets_the_steps_that_others_make_meanwhile(
 
 def test_a_composite_that_arrives_during_a_stroke_leaves_the_stroke_its_own(studio, page):
     page.evaluate("viewer.painting.layers.sendNew('add', 'Add a layer')")
-    page.wait_for_function("viewer.painting.layers.active !== null", timeout=60_000)
+    page.wait_for_function("viewer.painting.layers.active !== null")
     page.evaluate("viewer.painting.layers.send('set', '', { opacity: 0.6, blend: 'multiply' })")
     studio.drag(page, (-40, -20), (40, 20))
     studio.is_done(page)
     is_loaded = "viewer.painting.preview.composite.key === viewer.painting.preview.key"
-    page.wait_for_function(is_loaded, timeout=60_000)
+    page.wait_for_function(is_loaded)
     press(page)
     assert page.evaluate("viewer.painting.strokes.current.preview.image instanceof Object")
     page.evaluate("viewer.painting.preview.changes++; viewer.painting.preview.load()")
-    page.wait_for_function(is_loaded, timeout=60_000)
+    page.wait_for_function(is_loaded)
     composite = "viewer.painting.strokes.current.preview.image.colors.display.composite"
     for name in page.evaluate(f"{composite}.stores.map(({{ name }}) => name)"):
         store = f"{composite}.stores.find(({{ name }}) => name === '{name}')"
@@ -92,7 +87,7 @@ def test_a_layer_that_another_page_adds_is_not_selected(studio, page):
     studio.is_done(page)
     assert page.locator("#paint-note").inner_text() == "there is no layer 99"
     studio.session.take(plain("layer", 1, action="add", title="theirs"))
-    page.wait_for_function("viewer.painting.layers.stack.length === 1", timeout=60_000)
+    page.wait_for_function("viewer.painting.layers.stack.length === 1")
     assert page.evaluate("viewer.painting.layers.active") is None
 
 
@@ -136,13 +131,13 @@ def test_a_stroke_that_is_drawn_while_the_gpu_is_lost_is_cancelled(studio, page)
 
 def test_cubes_of_changed_cells_replace_the_old_ones_in_memory(studio, page):
     page.evaluate("viewer.display.cubes = true; viewer.invalidate()")
-    page.wait_for_function("viewer.isSharp", timeout=60_000)
+    sharp(page)
     page.evaluate(_COUNTED)
     for color in ([250, 0, 0], [0, 250, 0]):
         fill = {"kind": "fill", "name": "Fill all", "color": color}
         page.evaluate("(fill) => viewer.painting.commands.send(fill)", fill)
         studio.is_done(page)
-        page.wait_for_function("viewer.isSharp", timeout=60_000)
+        sharp(page)
     assert page.evaluate("count") == 0
     page.evaluate("viewer.display.cubes = false; viewer.invalidate()")
 
@@ -150,7 +145,7 @@ def test_cubes_of_changed_cells_replace_the_old_ones_in_memory(studio, page):
 def test_no_display_mode_and_no_finer_cells_compile_the_programs_of_the_brush_again(studio, page):
     for mode in ("channel", "lit"):
         page.evaluate("(mode) => { viewer.display.mode = mode; viewer.invalidate(); }", mode)
-        page.wait_for_function("viewer.isSharp", timeout=60_000)
+        sharp(page)
         studio.drag(page, (-20, 0), (20, 0))
         studio.is_done(page)
     kinds = page.evaluate("[...viewer.gpu.programs.compiled.keys()].map((key) => key.split('\\n')[0])")

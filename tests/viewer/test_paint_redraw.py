@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tests.make.browser import sharp
 from tests.make.studio import Studio
 
 #: How many pixels of the image differ from one that is drawn anew, and how many of that one show the model.
@@ -31,7 +32,7 @@ def test_only_what_is_near_a_change_is_drawn_anew(browser, tmp_path):
         )  # the cell under the pointer is not marked
         for view in ("orbit(0.3, 0.2)", "zoom(0.2)", "zoom(9.0)", "orbit(0.9, 0.1)"):
             page.evaluate(f"viewer.camera.{view}; viewer.invalidate()")
-            page.wait_for_function("viewer.isSharp", timeout=60_000)
+            sharp(page)
             for step in range(3):
                 size = int(random.integers(3, 20))
                 page.evaluate("(size) => viewer.painting.set({ size })", size)
@@ -42,7 +43,7 @@ def test_only_what_is_near_a_change_is_drawn_anew(browser, tmp_path):
                 else:
                     page.keyboard.press("Control+z")
                 studio.is_done(page)
-                page.wait_for_function("!viewer.changedRegion && viewer.isSharp", timeout=60_000)
+                page.wait_for_function("!viewer.changedRegion && viewer.isSharp")
                 unlike, shown = page.evaluate(_UNLIKE)
                 assert unlike == 0
                 assert shown > 100

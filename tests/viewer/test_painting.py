@@ -5,7 +5,7 @@ import pytest
 
 import octex
 from tests.make.same import assert_same
-from tests.make.studio import SIZE, imaged
+from tests.make.studio import SIZE, imaged, middle
 
 #: Opens all sections of the panel; returns the names of those that were open.
 _OPEN = """() => {
@@ -58,20 +58,20 @@ def test_undo_gives_the_texture_back_and_redo_the_stroke(studio, page):
     twice = studio.session.shown.texture
     for key, done in (("Control+z", 1), ("Control+z", 0), ("Control+Shift+Z", 1), ("Control+y", 2)):
         page.keyboard.press(key)
-        page.wait_for_function("(n) => viewer.painting.status.done === n", arg=done, timeout=60_000)
+        page.wait_for_function("(n) => viewer.painting.status.done === n", arg=done)
         if done == 0:
             assert_same(studio.session.shown.texture, studio.texture)
             assert (imaged(page) == plain).all()
     assert_same(studio.session.shown.texture, twice)
     page.locator("#steps button", has_text="Opened").click()
-    page.wait_for_function("viewer.painting.status.done === 0", timeout=60_000)
+    page.wait_for_function("viewer.painting.status.done === 0")
     assert_same(studio.session.shown.texture, studio.texture)
     listed = """() => Array.from(document.querySelectorAll("#steps li"),
       (row) => [row.textContent, row.className, row.firstChild.ariaCurrent])"""
     brush = ["Brush", "undone", None]
     assert page.evaluate(listed) == [["Opened", "", "step"], brush, brush]
     page.click("#redo")
-    page.wait_for_function("viewer.painting.status.done === 1", timeout=60_000)
+    page.wait_for_function("viewer.painting.status.done === 1")
     assert page.evaluate(listed) == [["Opened", "", None], ["Brush", "", "step"], brush]
     page.click("#undo")
     page.click("#tool-eraser")
@@ -83,13 +83,13 @@ def test_undo_gives_the_texture_back_and_redo_the_stroke(studio, page):
 def test_two_pages_see_the_same_and_one_saves(studio, page):
     other = studio.page()
     studio.drag(page, (0, 0), (10, 10))
-    other.wait_for_function("viewer.painting.status.done === 1", timeout=60_000)
+    other.wait_for_function("viewer.painting.status.done === 1")
     studio.drag(other, (-20, 0), (-40, 10))
-    page.wait_for_function("viewer.painting.status.done === 2", timeout=60_000)
+    page.wait_for_function("viewer.painting.status.done === 2")
     assert (imaged(page) == imaged(other)).all()
     assert not studio.output.exists()
     page.keyboard.press("Control+s")
-    other.wait_for_function("viewer.painting.status.isSaved", timeout=60_000)
+    other.wait_for_function("viewer.painting.status.isSaved")
     assert_same(octex.open(studio.output), studio.session.shown.texture)
     assert "all is saved" in other.locator("#saved").inner_text()
     other.evaluate("() => { viewer.painting.commands.post = () => new Promise(() => {}); }")
@@ -160,13 +160,13 @@ def test_the_fill_stays_chosen_and_the_pick_returns_to_the_tool_before(studio, p
 
 
 def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(studio, page):
-    box = page.locator("#image").bounding_box()
+    left, top = middle(page)
     before = page.evaluate("String(viewer.camera.view)")
-    page.mouse.move(box["width"] / 2, box["height"] / 2)
+    page.mouse.move(left, top)
     page.mouse.down()
     page.mouse.wheel(0, -200)
     page.keyboard.press("ArrowLeft")
-    page.mouse.move(box["width"] / 2 + 20, box["height"] / 2)
+    page.mouse.move(left + 20, top)
     assert page.evaluate("String(viewer.camera.view)") == before
     with studio.held(page, 2):
         page.mouse.up()

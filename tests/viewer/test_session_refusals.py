@@ -3,17 +3,15 @@
 import gc
 import json
 
-import numpy as np
 import pytest
 
 import octex
 from octex.channels import NORMAL
 from octex.errors import ArgumentError
 from octex.session.painting import Session
-from octex.texture import Channel
-from octex.texture.channel import row_counts
 from tests.make.painted import ball
 from tests.make.same import assert_same
+from tests.make.small_textures import with_channel
 from tests.make.strokes import PAGE, camera, camera_sent, deflated, plain, stroke, take
 
 NAN = float("nan")
@@ -161,8 +159,7 @@ OTHERS = [
 def test_what_cannot_be_done_changes_nothing_and_is_told(tmp_path):
     surface = ball(12).with_sources({"roughness": 0.5, "emissive": (0.0, 0.0, 0.0), "alpha": 1.0})
     texture = octex.convert(surface, depth=4)
-    parts = (np.zeros((count, 3), NORMAL.dtype) for count in row_counts(texture.tree))
-    texture = texture.with_cells(texture.tree, {**texture.channels, "normal": Channel(NORMAL, *parts)})
+    texture = with_channel(texture, NORMAL, 0)
     session = Session(texture, surface, tmp_path / "out.octex")
     failing = [("stroke", fields, why) for fields, why in FAILING]
     failing += [("fill", {"color": [1, 2, 3], **fields}, why) for fields, why in FAILING]

@@ -17,7 +17,16 @@ from octex.texture import OctreeTexture
 from octex.viewer import write_page
 from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack
-from tests.make.browser import Probe, differences, drawn, file_url, opened
+from tests.make.browser import (
+    Probe,
+    differences,
+    drawn,
+    file_url,
+    lose_gpu,
+    opened,
+    restore_gpu,
+    sharp_image,
+)
 from tests.make.fixtures import obj_lines
 from tests.make.painted import ball, balls
 from tests.make.small_surfaces import sheet
@@ -105,7 +114,7 @@ def assert_shown(texture, surface, opens, folder):
     assert page.complaints == []
     parity(page, texture, surface)
     page.check("#cubes")
-    sharp(page)
+    sharp_image(page)
 
 
 def parity(page, texture, surface):
@@ -147,7 +156,7 @@ def small(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def shared(browser, small):
-    page = opened(browser, file_url(small), (900, 480))
+    page = opened(browser, file_url(small), (900, 480), finest=0.25)
     yield page
     assert page.complaints == []
     page.close()
@@ -165,25 +174,18 @@ def page(shared):
     shared.locator("#level").fill("4")
 
 
-def sharp(page):
-    """The image, once it stands still."""
-    page.evaluate("viewer.invalidate()")
-    page.wait_for_function("viewer.isSharp && !viewer.frameRequest", timeout=60_000)
-    return page.locator("canvas").screenshot()
-
-
 def test_each_control_changes_the_image_and_the_first_view_comes_back(page):
     canvas = page.locator("canvas")
     canvas.focus()
     page.keyboard.press("0")
-    before = sharp(page)
+    before = sharp_image(page)
     for keys in (["ArrowLeft"], ["ArrowUp"], ["+"], ["-", "-"], ["Shift+ArrowLeft"], ["1"]):
         for key in keys:
             page.keyboard.press(key)
-        assert sharp(page) != before
+        assert sharp_image(page) != before
     page.evaluate("viewer.camera.reset(0.55, 0.3)")
     page.keyboard.press("0")
-    assert sharp(page) == before
+    assert sharp_image(page) == before
     box = canvas.bounding_box()
     page.evaluate(
         "(draw => viewer.invalidate = held => { globalThis.held = held; draw(held); })"
@@ -195,22 +197,22 @@ def test_each_control_changes_the_image_and_the_first_view_comes_back(page):
         page.mouse.move(box["x"] + 140, box["y"] + 120)
         assert page.evaluate("held") is True  # sharp images wait longer
         page.mouse.up(button=button)
-        assert sharp(page) != before
+        assert sharp_image(page) != before
         page.evaluate("viewer.camera.reset(0.55, 0.3)")
     page.mouse.wheel(0, -300)
-    assert sharp(page) != before
+    assert sharp_image(page) != before
     page.evaluate("viewer.camera.reset(0.55, 0.3); viewer.invalidate()")
-    images = {sharp(page)}
+    images = {sharp_image(page)}
     for value in ("unlit", "channel base_color", "channel roughness", "depth", "facing"):
         page.select_option("#mode", value)
-        images.add(sharp(page))
+        images.add(sharp_image(page))
     page.select_option("#mode", "unlit")
     page.select_option("#filter", "nearest")
-    images.add(sharp(page))
+    images.add(sharp_image(page))
     page.locator("#level").fill("2")
-    images.add(sharp(page))
+    images.add(sharp_image(page))
     page.check("#cubes")
-    images.add(sharp(page))
+    images.add(sharp_image(page))
     assert len(images) == 8  # without emitted light, colours as they are are the channel
 
 
@@ -270,13 +272,12 @@ def test_the_file_loads_nothing_and_obeys_its_own_policy(browser, small):
 
 
 def test_a_lost_context_is_restored(page):
-    before = sharp(page)
-    page.evaluate("(globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')).loseContext()")
-    page.wait_for_function("document.getElementById('status').textContent.includes('lost')")
-    page.evaluate("lose.restoreContext()")
-    page.wait_for_function("document.getElementById('status').textContent === ''")
-    page.evaluate("viewer.invalidate()")
-    assert sharp(page) == before
+    before = sharp_image(page)
+    lose_gpu(page)
+    assert "lost" in page.locator("#status").inner_text()
+    restore_gpu(page)
+    assert page.locator("#status").inner_text() == ""
+    assert sharp_image(page) == before
 
 
 def test_without_webgl2_the_page_says_so(browser, small):
@@ -321,11 +322,11 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(opens
 
     def until_said(text):
         said = f"document.getElementById('status').textContent.includes({text!r})"
-        page.wait_for_function(said, timeout=60_000)
+        page.wait_for_function(said)
 
     def until_depth(depth):
         shown = f"globalThis.viewer?.header?.parts[0].depth === {depth} && viewer.isLoaded"
-        page.wait_for_function(shown, timeout=60_000)
+        page.wait_for_function(shown)
 
     server, url = served(path)
     page = opens(url, (800, 600), is_drawn=False, is_lost=True)
@@ -359,7 +360,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(opens
     until_said("Connection lost")
     server, _ = served(path)  # nothing has changed
     page.evaluate("window.dispatchEvent(new Event('focus'))")
-    page.wait_for_function("document.getElementById('status').textContent === ''", timeout=60_000)
+    page.wait_for_function("document.getElementById('status').textContent === ''")
     until_depth(4)
 
 
@@ -415,9 +416,9 @@ def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(opens, tmp_path)
     assert [each["name"] for each in found] == list(textures)
     for value in ("channel roughness", "depth", "lit"):
         page.select_option("#mode", value)
-        sharp(page)
+        sharp_image(page)
     page.check("#cubes")
-    sharp(page)
+    sharp_image(page)
     with pytest.raises(ArgumentError, match=r"two.obj has 2 parts, and the set 1; give the set's model"):
         write_page(octex.TextureSet({"one": textures["part 0"]}), tmp_path / "one.html", surface)
     many = octex.TextureSet({f"{n}": textures["part 0"] for n in range(256)})

@@ -24,7 +24,7 @@ def small(tmp_path_factory):
 
 
 def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(opens, small):
-    page = opens(small, (320, 240))
+    page = opens(small, (320, 240), is_drawn=False)
     wide, high = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
     at = [round(0.58 * wide), round(0.4 * high)]
     page.mouse.move(*at)
@@ -43,7 +43,7 @@ def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(opens, sma
 
 
 def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_all(opens, small):
-    page = opens(small, (600, 300))
+    page = opens(small, (600, 300), is_drawn=False)
     wide, high = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
     at = [round(0.58 * wide), round(0.4 * high)]
     seen, first = page.evaluate(_SEEN, at), page.evaluate("viewer.camera.distance")
@@ -71,9 +71,7 @@ def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls
     )
     before = page.evaluate("viewer.camera.state")
     octex.convert(surface, depth=5).save(path)
-    page.wait_for_function(
-        "globalThis.viewer?.header?.parts[0].depth === 5 && viewer.isLoaded", timeout=60_000
-    )
+    page.wait_for_function("globalThis.viewer?.header?.parts[0].depth === 5 && viewer.isLoaded")
     after = page.evaluate("viewer.camera.state")
     for name in ("turn", "tilt", "target", "distance"):
         np.testing.assert_allclose(after[name], before[name], atol=1e-6)
@@ -95,9 +93,7 @@ _LISTEN = """() => {
 
 def has_said(page, text):
     """Wait until the page's status has had a text, however briefly; return all that it had."""
-    page.wait_for_function(
-        "(text) => said.some((each) => each.includes(text))", arg=text, timeout=60_000, polling=50
-    )
+    page.wait_for_function("(text) => said.some((each) => each.includes(text))", arg=text, polling=50)
     return page.evaluate("said")
 
 
@@ -138,7 +134,7 @@ def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(opens, pla
     for name in ("**/events", "**/proof*"):
         page.unroute(name)
     page.evaluate("window.dispatchEvent(new Event('focus'))")
-    page.wait_for_function("document.getElementById('status').textContent === ''", timeout=60_000)
+    page.wait_for_function("document.getElementById('status').textContent === ''")
 
 
 def test_texture_coordinates_are_missed_only_where_there_are_none(opens, tmp_path):

@@ -23,7 +23,7 @@ def told(viewer, page):
     """Wait until a page has what is shown."""
     viewer.changed()
     shows = "(version) => viewer.version === version"
-    page.wait_for_function(shows, arg=viewer.version()[0], timeout=60_000, polling=20)
+    page.wait_for_function(shows, arg=viewer.version()[0], polling=20)
 
 
 def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(opens, tmp_path):
@@ -117,7 +117,7 @@ def test_strokes_with_new_cells_send_the_rows_that_they_change(opens, tmp_path):
     painter = octex.Painter(texture, surface)
     last = surface.rest[np.argmax(surface.rest.sum(axis=1))]  # in Morton order cells there stand behind most
     viewer = Viewer(painter.texture, tmp_path / "session.octex", surface)
-    page = opens(viewer, (320, 240))
+    page = opens(viewer, (320, 240), is_drawn=False)
     sent = []
     for radius in (0.1, 0.105, 0.11):
         painter.fill(octex.Sphere(last, radius), (1.0, 0.0, 0.0), max_depth=8)

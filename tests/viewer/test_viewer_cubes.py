@@ -7,7 +7,7 @@ import octex
 from octex.tree.morton import decode_cells
 from octex.tree.octree import walk_leaves
 from octex.viewer import write_page
-from tests.make.browser import drawn, file_url, opened
+from tests.make.browser import drawn, file_url, opened, sharp
 from tests.make.painted import ball
 
 #: Makes the cubes of a level and returns their numbers, and how many there were after each piece.
@@ -59,7 +59,7 @@ def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(painted):
     note = "Level 6 is drawn: level 7 has too many cubes."
     assert page.locator("#cubes-note").text_content() == note
     middle = "viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2)"
-    page.wait_for_function("viewer.isSharp && !viewer.frameRequest", timeout=60_000)
+    sharp(page)
     assert page.evaluate("viewer.parts[0].cubes.level") == 6
     assert page.evaluate(middle)["level"] <= 6
     page.uncheck("#cubes")
@@ -86,7 +86,7 @@ def test_the_legend_names_the_colours_that_are_drawn(painted):
         page.select_option("#mode", shown)
         page.check("#cubes")
         page.evaluate("viewer.gpu.draw(viewer.display, viewer.camera, 64, 48)")
-        page.wait_for_function("viewer.isSharp && !viewer.frameRequest", timeout=60_000)
+        sharp(page)
         colors = [[int(n) for n in text[4:-1].split(",")] for text in page.evaluate(swatches)]
         ways = np.array(colors, float)
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)

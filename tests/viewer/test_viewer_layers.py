@@ -33,7 +33,7 @@ def panes(alphas):
 def middle(opens, surface, path):
     """Return the colour in the middle of the image, without light, and what a pick finds there."""
     write_page(octex.convert(surface, depth=5), path, surface)
-    page = opens(path, (912, 480))
+    page = opens(path, (912, 480), is_drawn=False)
     page.evaluate("viewer.camera.reset(0, 0)")
     color = drawn(page, SIZE, mode="unlit")[SIZE[1] // 2, SIZE[0] // 2]
     found = page.evaluate("viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2)")

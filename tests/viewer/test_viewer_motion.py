@@ -10,7 +10,7 @@ from octex.files import size_of
 from octex.source.load import load_motion
 from octex.viewer import write_page
 from octex.viewer.pack import pack
-from tests.make.browser import Probe, camera_of, lit_normals
+from tests.make.browser import Probe, camera_of, lit_normals, sharp
 from tests.make.fixtures import Gltf
 from tests.source.test_poses import NO_SUCH_JOINT, WAVY, broken, moving
 
@@ -125,7 +125,7 @@ def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(path, open
     surface = octex.load_surface(file, sources={"base_color": waves})
     texture = octex.convert(surface, depth=5)
     write_page(texture, tmp_path / "page.html", surface, motion=load_motion(file, 50.0))
-    page = opens(tmp_path / "page.html", (900, 480))
+    page = opens(tmp_path / "page.html", (900, 480), is_drawn=False)
     still = Probe(page, texture, SIZE).points
     page.select_option("#animation", "0")
     for time in (0.6, 1.4):
@@ -179,7 +179,7 @@ def test_targets_turn_normals_before_bones_do(pose, opens, tmp_path):
     surface = octex.load_surface(file, normals=True, pose=pose)
     motion = load_motion(file)
     write_page(octex.convert(surface, depth=3), tmp_path / "page.html", surface, motion=motion)
-    page = opens(tmp_path / "page.html", (900, 480))
+    page = opens(tmp_path / "page.html", (900, 480), is_drawn=False)
     turn = np.array([[0.28, 0, 0.96], [0, 1, 0], [-0.96, 0, 0.28]])  # of the quaternion above
     view = camera_of(page, SIZE).world_to_camera[:3, :3] * [[1], [-1], [-1]]
     for time, share in ((0.0, 0.0), (1.0, 0.5), (2.0, 1.0)):
@@ -206,7 +206,7 @@ def test_animations_are_chosen_played_and_sought(opens, tmp_path):
     assert page.locator("#play").inner_text() == "Pause"
     page.keyboard.press("Space")
     time = page.evaluate("viewer.player.time")
-    page.wait_for_function("viewer.isSharp && !viewer.frameRequest")
+    sharp(page)
     assert page.evaluate("viewer.player.time") == time
     page.locator("#time").fill("1.5")
     assert page.evaluate("viewer.display.moment") == {"animation": 0, "time": 1.5}

@@ -12,7 +12,7 @@ from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page
 from octex.viewer.maps import maps_of
-from tests.make.browser import camera_of, drawn, lose_gpu, restore_gpu
+from tests.make.browser import camera_of, drawn, lose_gpu, restore_gpu, sharp_image
 from tests.make.fixtures import Gltf, png, random_image
 
 SIZE = 240, 180
@@ -37,7 +37,7 @@ def test_each_pixel_of_the_source_is_what_the_model_has_there(opens, tmp_path):
     surface, path = two_images(tmp_path / "two.glb"), tmp_path / "two.octex"
     texture = octex.convert(surface, depth=3)
     texture.save(path)
-    page = opens(Viewer(lambda: octex.open(path), path, surface), (600, 400))
+    page = opens(Viewer(lambda: octex.open(path), path, surface), (600, 400), is_drawn=False)
     page.evaluate("viewer.camera.reset(0.2, 0.1)")
     codes = drawn(page, SIZE, mode="unlit", divider=1).reshape(-1, 3)
     worst, count = [], 0
@@ -57,19 +57,11 @@ def test_each_pixel_of_the_source_is_what_the_model_has_there(opens, tmp_path):
 def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left(opens, tmp_path):
     surface = two_images(tmp_path / "two.glb")
     write_page(octex.convert(surface, depth=2), tmp_path / "two.html", surface)
-    page = opens(tmp_path / "two.html", (900, 480))
-    image = lambda: page.locator("canvas").screenshot()  # noqa: E731
-    page.evaluate("viewer.camera.reset(0, 0); viewer.invalidate()")
-    images = []
-
-    def sharp():
-        page.evaluate("viewer.invalidate()")
-        page.wait_for_function("viewer.isSharp && !viewer.frameRequest", timeout=60_000)
-        images.append(image())
-
-    sharp()
+    page = opens(tmp_path / "two.html", (900, 480), finest=0.25)
+    page.evaluate("viewer.camera.reset(0, 0)")
+    images = [sharp_image(page)]
     page.check("#compare")
-    sharp()
+    images.append(sharp_image(page))
     divider = page.locator("#divider")
     assert divider.get_attribute("aria-valuenow") == "50"
     box = divider.bounding_box()
@@ -77,22 +69,22 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     page.mouse.down()
     page.mouse.move(100, 210)
     page.mouse.up()
-    sharp()
+    images.append(sharp_image(page))
     assert int(divider.get_attribute("aria-valuenow")) < 20
     divider.press("ArrowRight")
     assert page.evaluate("viewer.display.divider") == pytest.approx(
         100 / page.evaluate("viewer.canvas.clientWidth") + 0.02
     )
     divider.press("End")
-    sharp()
+    images.append(sharp_image(page))
     lose_gpu(page)
     restore_gpu(page)
-    sharp()
+    images.append(sharp_image(page))
     assert images.pop() == images[-1]  # images are there again
     divider.press("Home")
     page.uncheck("#compare")
     assert not divider.is_visible()
-    sharp()
+    images.append(sharp_image(page))
     assert images[0] == images[4]
     assert len(set(images)) == 4
 

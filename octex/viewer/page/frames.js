@@ -61,7 +61,7 @@ export class Frames {
     const sharp = this.pixelTime * pixels * this.maxScale ** 2 < 2 * FRAME_TIME ? this.maxScale : Math.min(this.maxScale, 1);
     try {
       if (isStill && !this.isSharpBegun && !isPainting) this.beginSharp(this.pixelRatio * sharp);
-      else if (!this.isDrawn) this.draw(this.pixelRatio * Math.min(Math.max(coarse, MIN_SCALE), 1));
+      else if (!this.isDrawn) this.draw(this.pixelRatio * Math.min(Math.max(coarse, MIN_SCALE), this.maxScale, 1));
       if (this.changedRegion) this.waitingTiles.push(...this.tiles(this.changedRegion));
       this.changedRegion = null;
       if (!isPainting) {
