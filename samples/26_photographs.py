@@ -37,7 +37,7 @@ surface = octex.load_surface(Path(__file__).with_name("droid.glb"), channels=["b
 head = surface.vertices[(surface.vertices[:, 1] > 0.43) & (surface.vertices[:, 1] < 0.64)]
 sides = [(np.sin(0.3 + 0.785 * n), 0.1 + 0.25 * (-1) ** n, np.cos(0.3 + 0.785 * n)) for n in range(8)]
 photos = [taken(surface, octex.Camera.fitted(head, sides[n], size=(2 * SIZE,) * 2), n) for n in range(8)]
-averaged = octex.paint(None, surface, photos, max_depth=DEPTH, fusion="average")
+averaged = octex.paint(None, surface, photos, max_depth=DEPTH, pictures="average")
 refined = octex.refine_cameras(surface, photos, reference=0)
 mended = [replace(photo, camera=camera) for photo, camera in zip(photos, refined, strict=True)]
 painted = octex.paint(None, surface, mended, max_depth=DEPTH, balance="full", reference=0)

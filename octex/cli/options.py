@@ -60,7 +60,7 @@ _TABLE = """
 --max-angle DEGREES   skip surface tilted more (default 75; 85 for views); 75,both: paint back faces;
                       75,hidden: paint hidden surface
 --edge-feather PIXELS fade paint toward the image's border and toward edges in depth (default 0)
---fusion MODE         how images combine: average, best, or robust (default for three or more)
+--pictures MODE       how images combine: average, best, or robust (default for three or more)
 --balance MODE        match exposures: gain; full: each colour, and vignetting
 --reference IMAGE     the image that --balance and --refine-cameras do not change
 --refine-cameras JSON turn, move and zoom cameras until the images agree; write them
@@ -158,7 +158,7 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.port_number: "--port",
     v.one_of(*v.FILTERS): "--filter",
     v.one_of(*v.BLENDS): "--blend",
-    v.one_of(*v.FUSIONS): "--fusion",
+    v.one_of(*v.PICTURES): "--pictures",
     v.one_of(*v.BALANCES): "--balance",
     v.one_of("panels", "view", "paint", "cells", "difference"): "--as",
     v.one_of("shown", "layers"): "--keep",
@@ -236,7 +236,7 @@ paint  Project images through their cameras onto a model, into its texture or a 
   OUTPUT   the painted texture, NAME.octex; with --force it may be TEXTURE
   [IMAGE ...]  images named as their cameras (or IMAGE=CAMERA), or layers; default: of --camera
   --camera --unwrap --mask --since --blend --opacity --channel --max-depth --max-angle --edge-feather
-  --fusion --balance --reference --refine-cameras --holes --coverage --no-fit --memory --resume SHAPE
+  --pictures --balance --reference --refine-cameras --holes --coverage --no-fit --memory --resume SHAPE
   --layer-out --preview RUNNING
 
 bake  Write a model with images, or vertex colours, of a texture, for other programs.

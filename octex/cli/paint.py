@@ -208,7 +208,7 @@ def _painted(
     from octex.painting.surface import PaintOptions
 
     settings = PaintOptions(
-        **arguments(options, "max_depth", "edge_feather", "fusion", "balance"),
+        **arguments(options, "max_depth", "edge_feather", "pictures", "balance"),
         **options.max_angle,
         channel=options.channel or DEFAULT_CHANNEL,
         reference=_reference(options, shots),

@@ -27,7 +27,7 @@ FILTERS = "nearest", "bilinear", "bicubic", "trilinear", "ewa"
 PROJECTIONS = "planar", "box", "cylindrical", "spherical"
 AXES = "x", "-x", "y", "-y", "z", "-z"
 BLENDS = "over", "multiply", "screen", "add", "erase", "replace"
-FUSIONS = "average", "best", "robust"
+PICTURES = "average", "best", "robust"
 BALANCES = "gain", "full"
 HOLES = "leave", "smooth"
 #: Largest width and height of a drawn image: the largest that octex reads.

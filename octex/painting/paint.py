@@ -26,10 +26,10 @@ from octex.painting.resume import Stages, stages_in
 from octex.painting.steps import Raster, layer_from, rasterize_surface
 from octex.painting.surface import (
     Balance,
-    Fusion,
     Job,
     PaintedSurface,
     PaintOptions,
+    Pictures,
     key_of,
     laid_flat,
     terms_of,
@@ -57,7 +57,7 @@ def paint(
     max_depth: int | None = None,
     max_angle: float | None = None,
     edge_feather: float = 0.0,
-    fusion: Fusion | None = None,
+    pictures: Pictures | None = None,
     balance: Balance | None = None,
     reference: int | None = None,
     back_faces: bool = False,
@@ -83,7 +83,7 @@ def paint(
     max_angle     degrees between the surface's normal and the direction to the camera beyond which nothing is
                   painted; paint fades over the last 10. Default: 75; 85 if every image was drawn on a view
     edge_feather  pixels over which paint fades toward the image's border and toward edges in depth
-    fusion        how images combine: "average"; "robust" leaves out what only one of at least three shows;
+    pictures      how images combine: "average"; "robust" leaves out what only one of at least three shows;
                   "best" takes one image per patch (Lempitsky & Ivanov 2007). Default: "robust" for three or
                   more
     balance       "gain" multiplies images so that they agree; "full" does so for each component, and
@@ -108,7 +108,7 @@ def paint(
     """
     run = as_run(run, threads, progress, "memory", "folder", "resume")
     options = PaintOptions(
-        channel, max_depth, max_angle, edge_feather, fusion, balance, reference, back_faces, fit, hidden,
+        channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit, hidden,
         region,
     )  # fmt: skip
     return painted_by(texture, surface, projections, options, run, holes, coverage=coverage)
@@ -177,7 +177,7 @@ def project(
     max_depth: int | None = None,
     max_angle: float | None = None,
     edge_feather: float = 0.0,
-    fusion: Fusion | None = None,
+    pictures: Pictures | None = None,
     balance: Balance | None = None,
     reference: int | None = None,
     back_faces: bool = False,
@@ -198,7 +198,7 @@ def project(
     run = as_run(run, threads, progress, "memory", "folder", "resume")
     as_surface(surface)
     options = PaintOptions(
-        channel, max_depth, max_angle, edge_feather, fusion, balance, reference, back_faces, fit, hidden,
+        channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit, hidden,
         region,
     )  # fmt: skip
     images = check_projections(projections)

@@ -22,7 +22,7 @@ from octex.painting.image import Blend, Projection, check_projections
 from octex.painting.merge import Merging, merged
 from octex.painting.paint import painted
 from octex.painting.region import Region, filled
-from octex.painting.surface import Balance, Fusion, Job, PaintedSurface, PaintOptions
+from octex.painting.surface import Balance, Job, PaintedSurface, PaintOptions, Pictures
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -174,7 +174,7 @@ class Painter:
         max_depth: int | None = None,
         max_angle: float | None = None,
         edge_feather: float = 0.0,
-        fusion: Fusion | None = None,
+        pictures: Pictures | None = None,
         balance: Balance | None = None,
         reference: int | None = None,
         back_faces: bool = False,
@@ -192,7 +192,7 @@ class Painter:
         errors of ``octex.paint``; the texture then stays as it was.
         """
         options = PaintOptions(
-            channel, max_depth, max_angle, edge_feather, fusion, balance, reference, back_faces, fit,
+            channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit,
             hidden, region,
         )  # fmt: skip
         changes: list[Change | None] = []

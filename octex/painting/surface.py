@@ -35,8 +35,8 @@ from octex.view.shading import corner_normals, corner_normals_of, face_normals
 from octex.voxelize.fragments import Blocks, whole
 
 #: Ways to combine images that see the same point.
-Fusion = Literal["average", "best", "robust"]
-FUSIONS: tuple[Fusion, ...] = get_args(Fusion)
+Pictures = Literal["average", "best", "robust"]
+PICTURES: tuple[Pictures, ...] = get_args(Pictures)
 #: Ways to match exposures: by one gain per image; or per component, with vignetting removed.
 Balance = Literal["gain", "full"]
 BALANCES: tuple[Balance, ...] = get_args(Balance)
@@ -164,7 +164,7 @@ class PaintOptions:
     max_depth: int | None = None
     max_angle: float | None = None
     edge_feather: float = 0.0
-    fusion: Fusion | None = None
+    pictures: Pictures | None = None
     balance: Balance | None = None
     reference: int | None = None
     back_faces: bool = False
@@ -179,7 +179,7 @@ class PaintOptions:
             "max_depth": None if depth is None else as_depth(depth, "max_depth"),
             "max_angle": None if angle is None else as_number(angle, "max_angle", 0.0, 180.0),
             "edge_feather": as_number(self.edge_feather, "edge_feather", 0.0, 1e6),
-            "fusion": None if self.fusion is None else as_choice(self.fusion, FUSIONS, "fusion"),
+            "pictures": None if self.pictures is None else as_choice(self.pictures, PICTURES, "pictures"),
             "balance": None if self.balance is None else as_choice(self.balance, BALANCES, "balance"),
             "back_faces": as_flag(self.back_faces, "back_faces"),
             "fit": as_flag(self.fit, "fit"),
@@ -187,7 +187,7 @@ class PaintOptions:
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        if self.hidden and (self.balance is not None or self.fusion in ("robust", "best")):
+        if self.hidden and (self.balance is not None or self.pictures in ("robust", "best")):
             raise ArgumentError(
                 "hidden cannot be used with balance, or with images that are robust or best: these compare "
                 "what cameras see"
@@ -199,7 +199,7 @@ class PaintOptions:
         if self.reference is not None:
             as_whole(self.reference, "reference", 0, len(images) - 1)
         angle = usual if self.max_angle is None else self.max_angle
-        return replace(self, max_angle=angle, fusion="average" if self.hidden else self.fusion)
+        return replace(self, max_angle=angle, pictures="average" if self.hidden else self.pictures)
 
 
 class Job(NamedTuple):

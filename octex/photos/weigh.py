@@ -93,16 +93,16 @@ def weighed(
     stages: Stages,
 ) -> Projected:
     """Combine the paint of several shots as the options say."""
-    balance, images = options.balance, options.fusion
+    balance, mode = options.balance, options.pictures
     if balance is not None:
         evened = balanced(source, surface, balance, reference)
         source = without_overexposed(source, evened, executor)
-    if images in ("robust", "best") or (images is None and len(source.shots) > 2):
+    if mode in ("robust", "best") or (mode is None and len(source.shots) > 2):
         source = agreeing(source, surface, executor, stages)
         if balance is not None:  # again, without what only one image saw
             source = balanced(source, surface, balance, reference)
     source = weighed_by_sharpness(source, surface, executor)
-    if images == "best":
+    if mode == "best":
         return best(source, surface, placement, depth, executor)
     enough = _ENOUGH * placement.size / 2**depth
     is_light = source.form.space in ("srgb", "linear")

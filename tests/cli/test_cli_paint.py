@@ -14,7 +14,7 @@ from octex import parallel
 from octex.channels import decode
 from octex.cli.options import COMMANDS, DEFAULT_CHANNEL
 from octex.cli.parser import Parser
-from octex.cli.values import BALANCES, BLENDS, FUSIONS, HOLES
+from octex.cli.values import BALANCES, BLENDS, HOLES, PICTURES
 from octex.errors import ExitCode
 from octex.painting import image, paint
 from octex.painting import surface as surfaces
@@ -211,7 +211,7 @@ def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch,
         return painted_by(*arguments, **options)
 
     monkeypatch.setattr(paint, "painted_by", painted)
-    more = "--max-depth 3 --max-angle 60,both --edge-feather 1.5 --balance gain --fusion average"
+    more = "--max-depth 3 --max-angle 60,both --edge-feather 1.5 --balance gain --pictures average"
     more += f" --no-fit --threads 2 --memory 1kB --resume {tmp_path / 'kept'}"
     cli.result(*scene.shot, OUT, tmp_path / "out.octex", *more.split(), "--channel", "base_color")
     run = seen.pop("run")
@@ -219,7 +219,7 @@ def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch,
     assert None not in (run.executor, run.progress, run.folder)
     assert seen == {
         "channel": "base_color", "max_depth": 3, "max_angle": 60.0, "edge_feather": 1.5,
-        "fusion": "average", "balance": "gain", "reference": None, "back_faces": True, "hidden": False,
+        "pictures": "average", "balance": "gain", "reference": None, "back_faces": True, "hidden": False,
         "fit": False, "region": None,
     }  # fmt: skip
     monkeypatch.setattr(parallel, "memory_size", lambda: 2000)  # by default, half of that
@@ -287,8 +287,8 @@ def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(scene
 
 
 def test_the_help_names_the_librarys_defaults():
-    own = surfaces.FUSIONS, surfaces.BALANCES, paint.FILLS, image.BLENDS
-    assert own == (FUSIONS, BALANCES, HOLES, BLENDS)
+    own = surfaces.PICTURES, surfaces.BALANCES, paint.FILLS, image.BLENDS
+    assert own == (PICTURES, BALANCES, HOLES, BLENDS)
     text = " ".join(Parser("octex paint", COMMANDS["paint"], COMMANDS).help().split())
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL

@@ -160,7 +160,7 @@ FUNCTIONS = {
     ),
     "paint": lambda run, _: octex.paint(None, SURFACE, shots(1), run=run),
     "paint, best": lambda run, _: octex.paint(
-        None, SURFACE, shots(5), fusion="best", balance="full", run=run
+        None, SURFACE, shots(5), pictures="best", balance="full", run=run
     ),
     "paint, robust": lambda run, folder: octex.paint(
         painted(), SURFACE, shots(5), balance="gain", run=replace(run, memory=1, resume=folder / "a")

@@ -50,7 +50,7 @@ def test_one_colour_is_seen_at_all_widths_by_all_filters(seed):
     if random.random() < 0.4:
         options["max_depth"] = int(random.integers(3, 8))
     if len(images) > 2:
-        options["fusion"] = str(random.choice(["average", "robust", "best"]))
+        options["pictures"] = str(random.choice(["average", "robust", "best"]))
     texture = octex.paint(None, surface, images, **options)
     assert texture.tree.n_leaves
     hits, wanted = surface.scatter(2000, seed=seed), srgb_to_linear(CODES / 255)

@@ -112,7 +112,7 @@ def test_only_what_has_changed_is_done_anew(tmp_path):
     changes = [
         {"max_depth": 3},
         {"max_angle": 50.0},
-        {"fusion": "best"},
+        {"pictures": "best"},
         {"balance": None},
         {"fit": False},
         {"back_faces": True},

@@ -87,7 +87,7 @@ def test_a_region_of_other_things_than_triangles_is_refused(region):
         octex.paint(texture, surface, octex.Projection(disc(), above(2.0)), region=region)
 
 
-@pytest.mark.parametrize("more", [{"balance": "gain"}, {"fusion": "best"}, {"fusion": "robust"}])
+@pytest.mark.parametrize("more", [{"balance": "gain"}, {"pictures": "best"}, {"pictures": "robust"}])
 def test_hidden_surface_is_not_painted_with_images_that_are_compared(more):
     texture, surface = sheets()
     shown = [octex.Projection(disc(), above(2.0))] * 3
@@ -101,7 +101,7 @@ def test_hidden_surface_is_not_painted_with_images_that_are_compared(more):
 def test_several_images_of_hidden_surface_are_averaged():
     texture, surface = sheets()
     shown = [octex.Projection(disc(), above(2.0))] * 3
-    one = octex.paint(texture, surface, shown, hidden=True, fusion="average")
+    one = octex.paint(texture, surface, shown, hidden=True, pictures="average")
     assert_same(octex.paint(texture, surface, shown, hidden=True), one)
 
 

@@ -126,11 +126,11 @@ def test_a_passer_by_is_left_out_in_any_order_of_images():
     seen[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
     shots = projections(seen, cameras)
     clean = error(octex.paint(None, surface, projections(images, cameras), max_depth=5), surface)
-    averaged = error(octex.paint(None, surface, shots, max_depth=5, fusion="average"), surface)
+    averaged = error(octex.paint(None, surface, shots, max_depth=5, pictures="average"), surface)
     robust = octex.paint(None, surface, shots, max_depth=5)
     assert averaged > 3.5 * clean
     assert error(robust, surface) < clean + 0.1 * (averaged - clean)
-    other = octex.paint(None, surface, shots[::-1], max_depth=5, fusion="robust")
+    other = octex.paint(None, surface, shots[::-1], max_depth=5, pictures="robust")
     assert np.array_equal(other.channels["base_color"].values, robust.channels["base_color"].values)
 
 
@@ -161,7 +161,7 @@ def test_of_many_images_those_are_compared_that_see_most_of_the_same(monkeypatch
     assert found == [sorted((number + step) % 8 for step in range(-2, 3)) for number in range(8)]
     images[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
     clean = octex.paint(None, surface, projections(ring()[2], cameras), max_depth=5)
-    averaged = octex.paint(None, surface, projections(images, cameras), max_depth=5, fusion="average")
+    averaged = octex.paint(None, surface, projections(images, cameras), max_depth=5, pictures="average")
     robust = octex.paint(None, surface, projections(images, cameras), max_depth=5)
     least, most = error(clean, surface), error(averaged, surface)
     assert most > least + 2
@@ -287,8 +287,8 @@ def test_gains_white_balance_and_vignetting_are_undone_beside_a_reference():
         octex.paint(None, surface, shots, balance="full", reference=8)
     with pytest.raises(ArgumentError, match="unknown balance 'auto'; there are: gain, full"):
         octex.paint(None, surface, shots, balance="auto")
-    with pytest.raises(ArgumentError, match="unknown fusion 'most'; there are: average, best, robust"):
-        octex.paint(None, surface, shots, fusion="most")
+    with pytest.raises(ArgumentError, match="unknown pictures 'most'; there are: average, best, robust"):
+        octex.paint(None, surface, shots, pictures="most")
 
 
 def test_a_step_is_that_of_least_squares_with_free_means():

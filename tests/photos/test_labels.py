@@ -125,7 +125,7 @@ def test_each_patch_comes_from_one_image_and_no_border_shows():
     truth = codes(surface.evaluate(samples))
 
     def painted(projections_, mode):
-        texture = octex.paint(None, surface, projections_, max_depth=6, holes="leave", fusion=mode)
+        texture = octex.paint(None, surface, projections_, max_depth=6, holes="leave", pictures=mode)
         texture.validate()
         return codes(texture.sample(samples.rest)), texture.contains(samples.rest)
 

@@ -36,11 +36,11 @@ def error(found, surface):
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-@pytest.mark.parametrize("fusion", ["average", "best", "robust"])
-def test_what_is_cut_off_is_painted_by_others_that_show_it(fusion, monkeypatch):
+@pytest.mark.parametrize("pictures", ["average", "best", "robust"])
+def test_what_is_cut_off_is_painted_by_others_that_show_it(pictures, monkeypatch):
     surface, cameras, images = ring(12, 96)
     given = projections(exposed(images, GAINS), cameras)
-    options = {"max_depth": 6, "balance": "gain", "reference": 0, "fusion": fusion}
+    options = {"max_depth": 6, "balance": "gain", "reference": 0, "pictures": pictures}
     as_they_are = error(octex.paint(None, surface, projections(images, cameras), **options), surface)
     found = error(octex.paint(None, surface, given, **options), surface)
     monkeypatch.setattr(weigh, "without_overexposed", lambda _, evened, __: evened)

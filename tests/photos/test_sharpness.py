@@ -120,11 +120,11 @@ def test_blurred_images_are_told_from_noisy_and_darker_ones():
 
 
 @needs_jit
-@pytest.mark.parametrize("fusion", ["average", "robust", "best"])
-def test_a_blurred_image_is_painted_where_no_other_sees(fusion):
+@pytest.mark.parametrize("pictures", ["average", "robust", "best"])
+def test_a_blurred_image_is_painted_where_no_other_sees(pictures):
     surface, cameras, images = ring()
     given = [blurred(each, 2.0) if n == 2 else each for n, each in enumerate(images)]
-    options = {"max_depth": 6, "fusion": fusion}
+    options = {"max_depth": 6, "pictures": pictures}
     clean = error(octex.paint(None, surface, projections(images, cameras), **options), surface)
     made = octex.paint(None, surface, projections(given, cameras), **options)
     with pytest.MonkeyPatch.context() as patch:

@@ -40,9 +40,9 @@ WORKS = {
     "transfer": lambda surface, unit: octex.convert(
         ball(9, 1.01 * unit).with_sources({"base_color": octex.Transfer(surface, distance=0.05 * unit)}), 4
     ),
-    "average": lambda surface, _: painted(surface, fusion="average"),
-    "robust": lambda surface, _: painted(surface, fusion="robust"),
-    "best": lambda surface, _: painted(surface, fusion="best"),
+    "average": lambda surface, _: painted(surface, pictures="average"),
+    "robust": lambda surface, _: painted(surface, pictures="robust"),
+    "best": lambda surface, _: painted(surface, pictures="best"),
     "balance": lambda surface, _: painted(surface, balance="full"),
     "holes": lambda surface, _: painted(surface, 2),
     "fill": lambda surface, unit: octex.fill(

@@ -176,7 +176,7 @@ def disturbed(
         options, refines = _OPTIONS[what]
         if setup.quick and what not in ("strangers", "all together"):
             continue  # all together goes the same ways
-        averaged = painted(given, fusion="average")[1]
+        averaged = painted(given, pictures="average")[1]
         off = ["", ""]
         began = process_time()
         if refines:

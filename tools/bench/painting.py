@@ -43,7 +43,7 @@ def ring(setup: Setup) -> None:
         truth = painted.codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
         given, rows = Ring(images, cameras), []
         for mode in ("average", "robust", "best"):
-            paint = partial(octex.paint, None, surface, given.projections(), max_depth=depth, fusion=mode)
+            paint = partial(octex.paint, None, surface, given.projections(), max_depth=depth, pictures=mode)
             spent, texture = timed(paint)
             found = painted.codes(texture.sample(samples.rest, normals=samples.normals))
             missed = 100 * float((~texture.contains(samples.rest))[seen].mean())

@@ -203,7 +203,7 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     octex.paint(texture, surface, projection, hidden=True)
     octex.refine_cameras(surface, [projection] * 2)
     octex.paint(None, surface, [projection] * 3, balance="full")
-    octex.paint(None, surface, [projection] * 3, fusion="best")
+    octex.paint(None, surface, [projection] * 3, pictures="best")
     find_modes(np.zeros((3, 1, 3), np.float32), np.zeros((3, 1), np.float32), 0, np.zeros((1, 3), np.float32))
     off_modes(*np.zeros((2, 1, 1, 3), np.float32))
     fill_unknown(np.full((1, 1), np.nan, np.float32), np.zeros((1, 1, 4), np.float32))
