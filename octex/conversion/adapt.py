@@ -21,8 +21,7 @@ from octex.conversion import large
 from octex.conversion.differences import (
     Reference,
     coefficients,
-    far_all_over,
-    far_at_samples,
+    find_far,
     near_nodes,
     values_at_samples,
 )
@@ -83,12 +82,15 @@ def adapted(
     if max_error is None or samples is None:
         return whole, dict(values)
     if finest is None or limits is None or pruned is None:
-        finest = Finest.of(tree)
+        finest = Finest.of(whole)
         limits = limits_of(finest, None)
-        pruned = prune(finest, limits)
-    full, known = grafted(tree, channels, pruned, whole, values)
-    finest = finest._replace(tree=full)
-    merger = _Merger(finest, known, samples, max_error, limits, executor, progress)
+        values = {
+            name: channel._replace(values=large.copied(channel.values)) for name, channel in values.items()
+        }
+    else:
+        full, values = grafted(tree, channels, pruned, whole, values)
+        finest = finest._replace(tree=full)
+    merger = _Merger(finest, values, samples, max_error, limits, executor, progress)
     return merger.merged(fitter)
 
 
@@ -113,10 +115,12 @@ class _Merger:
         self._progress = progress
         self._forms = [form for form in samples.channels if _varies(known[form.name], form)]
         self._whole = coefficients(finest.tree, known, self._forms)
-        full = self._field(prune(finest, limits))
+        is_full = limits.min(initial=finest.tree.max_depth) == finest.tree.max_depth
+        full = self._whole if is_full else self._field(prune(finest, limits))
         self._reference = Reference.of(full, samples, self._forms)
         self._cells = np.arange(limits.size)
-        self._wanted = large.joined(self._mapped(partial(values_at_samples, self._reference), self._cells))
+        values = self._mapped(partial(values_at_samples, self._reference), self._cells)
+        self._reference = self._reference._replace(values=large.joined(values))
 
     def merged(self, fitter: Fitter | None) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree with merged leaves, and its channels."""
@@ -127,24 +131,24 @@ class _Merger:
             self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
         # Nodes were tested on trees of one depth: test the tree of many depths.
-        self._split(depths)
+        self._split(prune(self._finest, depths), depths)
         self._progress("adapt", depth + 1, depth + 3)
-        if fitter is not None:
-            self._fit(fitter, depths)
-        self._progress("adapt", depth + 2, depth + 3)
-        self._settle(depths)
-        self._progress("adapt", depth + 3, depth + 3)
         pruned = prune(self._finest, depths)
+        if fitter is not None:
+            self._fit(fitter, pruned, depths)
+        self._progress("adapt", depth + 2, depth + 3)
+        self._split(pruned, depths)
+        pruned = self._settle(depths)
+        self._progress("adapt", depth + 3, depth + 3)
         return pruned.tree, pruned.carried(self._known)
 
-    def _fit(self, fitter: Fitter, depths: Uint8s) -> None:
+    def _fit(self, fitter: Fitter, pruned: Pruned, depths: Uint8s) -> None:
         """Fit merged leaves, which have means so far, to the full tree's field at the samples."""
-        pruned = prune(self._finest, depths)
         cells, is_merged = pruned.leaf_cells(depths), (depths < self._limits)[pruned.starts]
         merged = cells[is_merged]
         if not merged.size or not self._forms:
             return
-        samples = fitter.samples._replace(channels=tuple(self._forms), values=self._wanted)
+        samples = fitter.samples._replace(channels=tuple(self._forms), values=self._reference.values)
         values = fitter._replace(samples=samples).fit(pruned.tree, pruned.carried(self._known), is_merged)
         whole, cells, end = self._whole, pruned.cells[merged], 0
         rows = whole.rows.reshape(-1, (whole.components + 4) // 4 * 4)
@@ -170,29 +174,34 @@ class _Merger:
         firsts = np.append(firsts, depths.size)
         nodes = firsts, np.searchsorted(children, firsts), children
         first = int(finest.tree.arrays.level_cells[level])
-        work = partial(near_nodes, even, self._reference, self._wanted, self._most, nodes, first)
+        work = partial(near_nodes, even, self._reference, self._most, nodes, first)
         merges = np.zeros(firsts.size - 1, np.bool_)
         merges[candidates] = np.concatenate(self._mapped(work, candidates))
         depths[finest.spread(level, merges)] = level
 
-    def _settle(self, depths: Uint8s) -> None:
+    def _settle(self, depths: Uint8s) -> Pruned:
         """Split merged leaves until the field is near everywhere, with and without normals."""
-        self._split(depths)
         cells = self._cells
         for attempt in count():
             pruned = prune(self._finest, depths)
-            work = partial(far_all_over, self._field(pruned), self._reference, self._most)
-            far = np.zeros(depths.size, np.bool_)
-            far[cells] = np.concatenate(self._mapped(work, cells))
+            far = self._far(pruned, depths, cells, is_patch=True)
             cells = np.flatnonzero(self._refined(far, pruned, depths, 1 + attempt // _PATIENCE))
             if not cells.size:
                 break
+        return pruned
 
-    def _split(self, depths: Uint8s) -> None:
+    def _split(self, pruned: Pruned, depths: Uint8s) -> None:
         """Split merged leaves by a level where the field is far off at samples."""
-        pruned = prune(self._finest, depths)
-        work = partial(far_at_samples, self._field(pruned), self._reference, self._wanted, self._most)
-        self._refined(np.concatenate(self._mapped(work, self._cells)), pruned, depths, 1)
+        self._refined(self._far(pruned, depths, self._cells, is_patch=False), pruned, depths, 1)
+
+    def _far(self, pruned: Pruned, depths: Uint8s, cells: Int64s, *, is_patch: bool) -> Bools:
+        """Mark those of ``cells`` in which the field is found too far off. See `find_far`."""
+        ends = np.repeat(np.append(pruned.starts[1:], depths.size), pruned.sizes)
+        ends[depths == self._limits] = 0  # such a leaf is not split
+        far = np.zeros(depths.size, np.bool_)
+        work = partial(find_far, self._field(pruned), self._reference, self._most, ends, is_patch)
+        far[cells] = np.concatenate(self._mapped(work, cells))
+        return far
 
     def _mapped(self, work: Callable[[Int64s], Array], items: Int64s) -> list[Array]:
         """Call ``work`` with blocks of items."""

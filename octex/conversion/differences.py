@@ -31,9 +31,9 @@ from octex.conversion.evaluator import (
 )
 from octex.conversion.samples import MOST_POINTS, POSITION_STEPS, Samples, lay_out
 from octex.editing.split import SLOPE
-from octex.field.weights import View, facings_of, view_of
+from octex.field.weights import NO_VIEW, facings_of, view_of
 from octex.field.windows import Walk, new_walk
-from octex.jit import chosen, inlined, kernel, mask_bits, part, put
+from octex.jit import chosen, inlined, kernel, mask_bits, part, put, step
 from octex.jit.vectors import eight, eight_at, lanes
 from octex.texture.channel import Channel
 from octex.tree.layout import MAX_DEPTH
@@ -153,15 +153,16 @@ def are_near_between(differences: Float64s, count: int, most: float) -> bool:
     On each triangle the difference is taken for the quadratic polynomial through its six points, which lies
     between its Bézier coefficients.
     """
+    corners = count // 3
     for column in range(differences.shape[0]):
         middle = differences[column, 0]
         near = abs(middle) <= most
-        for corner in range(1, count, 3):
+        for corner in range(1, 1 + corners):
             here = differences[column, corner]
-            after = differences[column, corner + 3 if corner + 3 < count else 1]
+            after = differences[column, corner + 1 if corner < corners else 1]
             near &= abs(here) <= most
-            near &= abs(2.0 * differences[column, corner + 1] - 0.5 * (here + middle)) <= most
-            near &= abs(2.0 * differences[column, corner + 2] - 0.5 * (here + after)) <= most
+            near &= abs(2.0 * differences[column, corner + corners] - 0.5 * (here + middle)) <= most
+            near &= abs(2.0 * differences[column, corner + 2 * corners] - 0.5 * (here + after)) <= most
         if not near:
             return False
     return True
@@ -235,11 +236,13 @@ class Reference(NamedTuple):
     firsts: Int64s
     positions: Uint16s
     normals: Int8s
+    values: Float32s  # (samples, components)   of the field
 
     @classmethod
     def of(cls, field: Coefficients, samples: Samples, forms: Sequence[ChannelFormat]) -> Reference:
         """Take the full tree's field, and the formats of its components."""
-        return cls(field, ErrorColumns.of(forms), samples.depth, *samples[2:6])
+        values = np.empty((0, field.components), np.float32)
+        return cls(field, ErrorColumns.of(forms), samples.depth, *samples[2:6], values)
 
 
 class Scratch(NamedTuple):
@@ -275,22 +278,33 @@ def _new_scratch(components: int) -> Scratch:
 @kernel
 def values_at_samples(reference: Reference, cells: Int64s) -> Float32s:
     """Return the full tree's values (samples, components) at the samples of finest cells (n,), a run."""
-    field, scratch = reference.field, _new_scratch(reference.field.components)
-    start = reference.firsts[cells[0]]
-    values = np.empty((reference.firsts[cells[-1] + 1] - start, field.components), np.float32)
+    components = reference.field.components
+    count = reference.firsts[cells[-1] + 1] - reference.firsts[cells[0]]
+    values = np.empty((count, components), np.float32)
+    _write_values(reference, cells, _new_scratch(components), values)
+    return values
+
+
+# Loops are steps, not kernels: where tuples of arrays pass from call to call, kernels count references, 25
+# for each cell, and take a sixth longer.
+
+
+@step
+def _write_values(reference: Reference, cells: Int64s, scratch: Scratch, values: Float32s) -> None:
+    field, start = reference.field, reference.firsts[cells[0]]
     for cell in cells:
-        count, row = _look_up_samples(field, reference, scratch, 1, cell), reference.firsts[cell] - start
+        level = _enter(field, reference, scratch, cell)
+        count = _look_up_samples(field, reference, scratch, level, 1, cell)
+        row = reference.firsts[cell] - start
         for point in range(count):
             for component in range(field.components):
                 values[row + point, component] = scratch.values[1, component, point]
-    return values
 
 
 @kernel
 def near_nodes(
     even: Coefficients,
     reference: Reference,
-    wanted: Float32s,
     most: float,
     nodes: tuple[Int64s, Int64s, Int64s],
     first_node: int,
@@ -299,20 +313,32 @@ def near_nodes(
     """Say which nodes (n,), in ascending order, may become leaves, by their samples.
 
     Either the field of an ``even`` tree, whose leaves they are, is near the full tree's at the samples of a
-    finest cell in each child; or the node's value is near at all samples. ``wanted`` are the full tree's
-    values at all samples; ``nodes`` the first finest cell and the first child of each node, and the first
-    finest cell of each child, ends included; ``first_node`` is the cell number of the first node.
+    finest cell in each child; or the node's value is near at all samples. ``nodes`` are the first finest cell
+    and the first child of each node, and the first finest cell of each child, ends included; ``first_node``
+    is the cell number of the first node.
     """
-    firsts, children, child_firsts = nodes
-    scratch = _new_scratch(even.components)
     near = np.empty(candidates.size, np.bool_)
+    _find_near(even, reference, most, nodes, first_node, candidates, _new_scratch(even.components), near)
+    return near
+
+
+@step
+def _find_near(
+    even: Coefficients,
+    reference: Reference,
+    most: float,
+    nodes: tuple[Int64s, Int64s, Int64s],
+    first_node: int,
+    candidates: Int64s,
+    scratch: Scratch,
+    near: Bools,
+) -> None:
+    firsts, children, child_firsts = nodes
     for n in range(candidates.size):
         node = candidates[n]
         near[n] = True
         for child in range(children[node], children[node + 1]):
-            cell = child_firsts[child]
-            count = _look_up_samples(even, reference, scratch, 0, cell)
-            if not _are_near_at(scratch, reference, wanted, cell, count, most):
+            if not _is_near_at_samples(even, reference, scratch, child_firsts[child], most):
                 near[n] = False
                 break
         if near[n]:
@@ -325,48 +351,90 @@ def near_nodes(
                 scratch.values[0, component, point] = value
         for cell in range(firsts[node], firsts[node + 1]):
             count = reference.firsts[cell + 1] - reference.firsts[cell]
-            if not _are_near_at(scratch, reference, wanted, cell, count, most):
+            if not _are_near_at(scratch, reference, cell, count, most):
                 near[n] = False
                 break
-    return near
 
 
 @kernel
-def far_at_samples(
-    field: Coefficients, reference: Reference, wanted: Float32s, most: float, cells: Int64s
+def find_far(
+    field: Coefficients, reference: Reference, most: float, ends: Int64s, is_patch: bool, cells: Int64s
 ) -> Bools:
-    """Say in which finest cells (n,) a field is more than ``most`` codes off at a sample."""
-    scratch = _new_scratch(field.components)
-    far = np.empty(cells.size, np.bool_)
-    for n in range(cells.size):
-        count = _look_up_samples(field, reference, scratch, 0, cells[n])
-        far[n] = not _are_near_at(scratch, reference, wanted, cells[n], count, most)
+    """Find finest cells (n,), in ascending order, in which a field is too far off: one for each leaf.
+
+    That is by more than ``most`` codes at a sample; with ``is_patch`` also by one code more on the patch
+    around it (see `lay_out`), without a normal and with the sample's normal. ``ends`` (finest cells,) say
+    where a leaf ends that will be split as a whole: no other cell of it is tested after one that is far.
+    """
+    far = np.zeros(cells.size, np.bool_)
+    _test_cells(
+        (field, reference.field), reference, most, ends, is_patch, cells, _new_scratch(field.components), far
+    )
     return far
 
 
+@step
+def _test_cells(
+    fields: tuple[Coefficients, Coefficients],
+    reference: Reference,
+    most: float,
+    ends: Int64s,
+    is_patch: bool,
+    cells: Int64s,
+    scratch: Scratch,
+    far: Bools,
+) -> None:
+    end = 0
+    for n in range(cells.size):
+        cell = cells[n]
+        if cell < end:
+            continue
+        if is_patch:
+            far[n] = _is_far_all_over(fields, reference, scratch, cell, most)
+        else:
+            far[n] = not _is_near_at_samples(fields[0], reference, scratch, cell, most)
+        if far[n]:
+            end = ends[cell]
+
+
 @inlined
-def _are_near_at(
-    scratch: Scratch, reference: Reference, wanted: Float32s, cell: int, count: int, most: float
+def _is_near_at_samples(
+    field: Coefficients, reference: Reference, scratch: Scratch, cell: int, most: float
 ) -> bool:
+    """Say whether a field is near the full tree's at the samples of a finest cell."""
+    level = _enter(field, reference, scratch, cell)
+    if level == reference.depth and not is_refined(scratch.walks[0], level):
+        return True  # both have the same leaves there
+    count = _look_up_samples(field, reference, scratch, level, 0, cell)
+    return _are_near_at(scratch, reference, cell, count, most)
+
+
+@inlined
+def _are_near_at(scratch: Scratch, reference: Reference, cell: int, count: int, most: float) -> bool:
     """Say whether the first field's values at a cell's samples are near the full tree's."""
     first, values = reference.firsts[cell], scratch.values
     for point in range(-(-count // 8) * 8):
         row = first + (point if point < count else 0)
         for component in range(values.shape[1]):
-            values[1, component, point] = wanted[row, component]
+            values[1, component, point] = reference.values[row, component]
     return _are_near(scratch, reference.columns, count, most, most, False)
 
 
 @inlined
-def _look_up_samples(
-    field: Coefficients, reference: Reference, scratch: Scratch, side: int, cell: int
-) -> int:
-    """Write a field's values at the samples of a finest cell, and return their number."""
+def _enter(field: Coefficients, reference: Reference, scratch: Scratch, cell: int) -> int:
+    """Go to a finest cell in the first field, and return the level of its window."""
     i, j, k = decode_cell(reference.codes[cell])
     shift = MAX_DEPTH - reference.depth
-    walk, windows = scratch.walks[0], scratch.windows
-    level = enter(field, walk, windows, 0, i << shift, j << shift, k << shift)
-    find_coefficients(field, walk, windows, 0, level, False, view_of(scratch.normal, 0))
+    return enter(field, scratch.walks[0], scratch.windows, 0, i << shift, j << shift, k << shift)
+
+
+@inlined
+def _look_up_samples(
+    field: Coefficients, reference: Reference, scratch: Scratch, level: int, side: int, cell: int
+) -> int:
+    """Write a field's values at the samples of the finest cell entered, and return their number."""
+    i, j, k = decode_cell(reference.codes[cell])
+    find_coefficients(field, scratch.walks[0], scratch.windows, 0, level, False, NO_VIEW)
     first = reference.firsts[cell]
     count = reference.firsts[cell + 1] - first
     for point in range(count):
@@ -386,20 +454,6 @@ def _fill(points: Float32s, count: int) -> None:
             points[axis, point] = points[axis, 0]
 
 
-@kernel
-def far_all_over(field: Coefficients, reference: Reference, most: float, cells: Int64s) -> Bools:
-    """Say in which finest cells (n,), in ascending order, a field is too far off anywhere.
-
-    That is by more than ``most`` codes at a sample, or by one code more on the patch around it (see
-    `lay_out`), without a normal or with the sample's normal.
-    """
-    scratch = _new_scratch(field.components)
-    far = np.empty(cells.size, np.bool_)
-    for n in range(cells.size):
-        far[n] = _is_far_all_over((field, reference.field), reference, scratch, cells[n], most)
-    return far
-
-
 @inlined
 def _is_far_all_over(
     fields: tuple[Coefficients, Coefficients], reference: Reference, scratch: Scratch, cell: int, most: float
@@ -407,35 +461,36 @@ def _is_far_all_over(
     walks, windows, columns = scratch.walks, scratch.windows, reference.columns
     i, j, k = decode_cell(reference.codes[cell])
     shift = MAX_DEPTH - reference.depth
-    full = enter(fields[1], walks[1], windows, 1, i << shift, j << shift, k << shift)
-    level = enter(fields[0], walks[0], windows, 0, i << shift, j << shift, k << shift)
-    if level == full and not is_refined(walks[0], level):
+    level = _enter(fields[0], reference, scratch, cell)
+    if level == reference.depth and not is_refined(walks[0], level):
         return False  # both have the same leaves there
-    normal = scratch.normal
-    view = view_of(normal, 0)
+    full = enter(fields[1], walks[1], windows, 1, i << shift, j << shift, k << shift)
+    if level == full and not is_refined(walks[0], level):
+        return False
+    normal, view = scratch.normal, NO_VIEW
     for sample in range(reference.firsts[cell], reference.firsts[cell + 1]):
         count = lay_out(reference.positions, reference.normals, sample, scratch.points)
-        _fill(scratch.points, count)
         for with_normal in range(2):
             one, other = 0, 1
             if with_normal == 1:
+                hidden = _HIDDEN[_full_facings(reference.normals, sample)]
+                one = 2 if windows.kinds[0, level] & hidden != np.uint64(0) else 0
+                other = 3 if windows.kinds[1, full] & hidden != np.uint64(0) else 1
+                if one == 0 and other == 1:
+                    continue  # the normal changes nothing
                 is_new = False
                 for axis in range(3):
                     is_new |= normal[0, axis] != reference.normals[sample, axis]
                     normal[0, axis] = reference.normals[sample, axis]
                 view = view_of(normal, 0)
-                if is_new:
-                    windows.known[2:] = False
-                hidden = _HIDDEN[_full_facings(view)]
-                one = 2 if windows.kinds[0, level] & hidden != np.uint64(0) else 0
-                other = 3 if windows.kinds[1, full] & hidden != np.uint64(0) else 1
-                if one == 0 and other == 1:
-                    continue  # the normal changes nothing
+                for known in range(full + 1 if is_new else 0):
+                    windows.known[2, known] = windows.known[3, known] = False
             find_coefficients(fields[1], walks[1], windows, other, full, other == 3, view)
             find_coefficients(fields[0], walks[0], windows, one, level, one == 2, view)
             for side in range(2):
                 which, from_level = (one, level) if side == 0 else (other, full)
-                _look_up(fields[0], scratch, which, from_level, (i, j, k, reference.depth), side, count)
+                if with_normal == 0 or which != side:  # else the normal changes nothing there
+                    _look_up(fields[0], scratch, which, from_level, (i, j, k, reference.depth), side, count)
             if not _are_near(scratch, columns, count, most, most + BETWEEN, True):
                 return True
     return False
@@ -457,11 +512,15 @@ def _look_up(
         y = (b + eight_at(points, room + first)) * scale
         z = (c + eight_at(points, 2 * room + first)) * scale
         add_up(scratch.windows, which, (components + 4) // 4, level, (x, y, z), totals, first)
+        weight = eight_at(totals, components * room + first)
+        inverse = chosen(weight > none, one / weight, none)
+        by_coverage = inverse
+        if alpha >= 0:
+            coverage = eight_at(totals, alpha * room + first)
+            by_coverage = chosen(coverage > none, one / coverage, none)
         for component in range(components):
-            by = components if alpha < 0 or component == alpha else alpha
-            total, divisor = eight_at(totals, component * room + first), eight_at(totals, by * room + first)
-            is_any = divisor > none
-            value = chosen(is_any, total / chosen(is_any, divisor, one), none)
+            by = inverse if component == alpha else by_coverage
+            value = eight_at(totals, component * room + first) * by
             put(values, (side * components + component) * room + first, value)
 
 
@@ -488,9 +547,14 @@ def _are_near(
 
 
 @inlined
-def _full_facings(view: View) -> int:
-    """Return the facings of full weight in lookups with a normal."""
-    x, y, z, signs = view
-    full = int(x >= _FULL) << (signs & 1)
-    full |= int(y >= _FULL) << (2 + (signs >> 1 & 1))
-    return full | int(z >= _FULL) << (4 + (signs >> 2 & 1))
+def _full_facings(normals: Int8s, sample: int) -> int:
+    """Return the facings of full weight in lookups with a sample's normal."""
+    square = 0
+    for axis in range(3):
+        square += int(normals[sample, axis]) ** 2
+    full = 0
+    for axis in range(3):
+        component = int(normals[sample, axis])
+        is_full = component != 0 and component * component >= _FULL * _FULL * square
+        full |= int(is_full) << (2 * axis + int(component < 0))
+    return full

@@ -15,8 +15,7 @@ from octex.channels import ALPHA, BASE_COLOR, NORMAL, linear_to_srgb
 from octex.conversion.differences import (
     Reference,
     coefficients,
-    far_all_over,
-    far_at_samples,
+    find_far,
     near_nodes,
     values_at_samples,
 )
@@ -194,7 +193,7 @@ def test_cells_are_far_where_samples_and_patches_say_so(seed, smooth):
     for part in (0.2, 0.6, 0.95):
         most = float(np.quantile(expected, part))
         clear = np.abs(expected[chosen] - most) > 0.02
-        far = far_all_over(found, reference, most, chosen)
+        far = find_far(found, reference, most, np.zeros(expected.size, np.int64), True, chosen)
         np.testing.assert_array_equal(far[clear], expected[chosen][clear] > most)
 
 
@@ -217,6 +216,7 @@ def test_cells_and_nodes_are_near_where_their_samples_are(seed, smooth):
     found, reference = fields(made)
     count = samples.codes.size
     values = values_at_samples(reference, np.arange(count))
+    reference = reference._replace(values=values)
     full = made.full.sample(points, names, normalize=False)
     np.testing.assert_allclose(values, np.hstack([full[name] for name in names]), atol=1e-5)
     wanted, coverage = codes(made.full, points, None)
@@ -238,12 +238,12 @@ def test_cells_and_nodes_are_near_where_their_samples_are(seed, smooth):
     for part in (0.2, 0.6, 0.95):
         most = float(np.quantile(at_cells, part))
         clear = np.abs(at_cells - most) > 0.02
-        far = far_at_samples(found, reference, values, most, np.arange(count))
+        far = find_far(found, reference, most, np.zeros(count, np.int64), False, np.arange(count))
         np.testing.assert_array_equal(far[clear], at_cells[clear] > most)
         most = float(np.quantile(at_nodes, part))
         chosen = np.arange(0, at_nodes.size, 2)
         clear = np.abs(at_nodes[chosen] - most) > 0.02
-        near = near_nodes(tree, reference, values, most, nodes, int(first_node), chosen)
+        near = near_nodes(tree, reference, most, nodes, int(first_node), chosen)
         np.testing.assert_array_equal(near[clear], at_nodes[chosen][clear] <= most)
 
 
@@ -264,7 +264,7 @@ def test_a_patch_covers_what_the_plane_of_a_sample_has_in_its_cell(seed):
     points = np.zeros((3, MOST_POINTS), np.float32)
     count = _points_of(place.astype(np.uint16)[None], normal[None], points)
     points = points[:, :count].T
-    middle, corners, spokes, sides = points[0], points[1::3], points[2::3], points[3::3]
+    middle, (corners, spokes, sides) = points[0], np.split(points[1:], 3)
     assert 3 <= len(corners) <= 8
     np.testing.assert_allclose(middle, (place + 0.5) / POSITION_STEPS, atol=1e-6)
     np.testing.assert_allclose(spokes, (corners + middle) / 2, atol=1e-6)

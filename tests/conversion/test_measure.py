@@ -118,8 +118,7 @@ def test_what_is_quadratic_between_the_points_of_a_patch_exceeds_its_bound_nowhe
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) + random.normal(size=(4, 2)) / 8
     middle = corners.mean(axis=0)
     after = np.roll(corners, -1, axis=0)
-    points = np.stack([corners, (corners + middle) / 2, (corners + after) / 2], axis=1).reshape(-1, 2)
-    points = np.concatenate([middle[None], points])
+    points = np.concatenate([middle[None], corners, (corners + middle) / 2, (corners + after) / 2])
     factors = random.normal(size=(6, 2)) * (random.random((6, 1)) < 0.5)
 
     def values(points):
@@ -139,7 +138,7 @@ def test_what_is_quadratic_between_the_points_of_a_patch_exceeds_its_bound_nowhe
 
 def test_what_rises_between_the_points_of_a_patch_is_found():
     # A triangle of a patch of one: all its points are near, and yet a parabola through them is not.
-    differences = np.array([[0, 0, 1.0, 0, 0, 0, 0, 0, 0, 0]])
+    differences = np.array([[0, 0, 0, 0, 1.0, 0, 0, 0, 0, 0]])
     assert not _near_between(differences, 10, 1.9)
     assert _near_between(differences, 10, 2.1)
     differences[0, 5] = np.nan
