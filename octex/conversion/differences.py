@@ -31,7 +31,7 @@ from octex.conversion.evaluator import (
 )
 from octex.conversion.samples import MOST_POINTS, POSITION_STEPS, Samples, lay_out
 from octex.editing.split import SLOPE
-from octex.field.weights import View, facings_of, view_of
+from octex.field.weights import NO_VIEW, facings_of, view_of
 from octex.field.windows import Walk, new_walk
 from octex.jit import chosen, inlined, kernel, mask_bits, part, put, step
 from octex.jit.vectors import eight, eight_at, lanes
@@ -434,7 +434,7 @@ def _look_up_samples(
 ) -> int:
     """Write a field's values at the samples of the finest cell entered, and return their number."""
     i, j, k = decode_cell(reference.codes[cell])
-    find_coefficients(field, scratch.walks[0], scratch.windows, 0, level, False, view_of(scratch.normal, 0))
+    find_coefficients(field, scratch.walks[0], scratch.windows, 0, level, False, NO_VIEW)
     first = reference.firsts[cell]
     count = reference.firsts[cell + 1] - first
     for point in range(count):
@@ -465,30 +465,32 @@ def _is_far_all_over(
     if level == reference.depth and not is_refined(walks[0], level):
         return False  # both have the same leaves there
     full = enter(fields[1], walks[1], windows, 1, i << shift, j << shift, k << shift)
-    normal = scratch.normal
-    view = view_of(normal, 0)
+    if level == full and not is_refined(walks[0], level):
+        return False
+    normal, view = scratch.normal, NO_VIEW
     for sample in range(reference.firsts[cell], reference.firsts[cell + 1]):
         count = lay_out(reference.positions, reference.normals, sample, scratch.points)
         for with_normal in range(2):
             one, other = 0, 1
             if with_normal == 1:
+                hidden = _HIDDEN[_full_facings(reference.normals, sample)]
+                one = 2 if windows.kinds[0, level] & hidden != np.uint64(0) else 0
+                other = 3 if windows.kinds[1, full] & hidden != np.uint64(0) else 1
+                if one == 0 and other == 1:
+                    continue  # the normal changes nothing
                 is_new = False
                 for axis in range(3):
                     is_new |= normal[0, axis] != reference.normals[sample, axis]
                     normal[0, axis] = reference.normals[sample, axis]
                 view = view_of(normal, 0)
-                if is_new:
-                    windows.known[2:] = False
-                hidden = _HIDDEN[_full_facings(view)]
-                one = 2 if windows.kinds[0, level] & hidden != np.uint64(0) else 0
-                other = 3 if windows.kinds[1, full] & hidden != np.uint64(0) else 1
-                if one == 0 and other == 1:
-                    continue  # the normal changes nothing
+                for known in range(full + 1 if is_new else 0):
+                    windows.known[2, known] = windows.known[3, known] = False
             find_coefficients(fields[1], walks[1], windows, other, full, other == 3, view)
             find_coefficients(fields[0], walks[0], windows, one, level, one == 2, view)
             for side in range(2):
                 which, from_level = (one, level) if side == 0 else (other, full)
-                _look_up(fields[0], scratch, which, from_level, (i, j, k, reference.depth), side, count)
+                if with_normal == 0 or which != side:  # else the normal changes nothing there
+                    _look_up(fields[0], scratch, which, from_level, (i, j, k, reference.depth), side, count)
             if not _are_near(scratch, columns, count, most, most + BETWEEN, True):
                 return True
     return False
@@ -545,9 +547,14 @@ def _are_near(
 
 
 @inlined
-def _full_facings(view: View) -> int:
-    """Return the facings of full weight in lookups with a normal."""
-    x, y, z, signs = view
-    full = int(x >= _FULL) << (signs & 1)
-    full |= int(y >= _FULL) << (2 + (signs >> 1 & 1))
-    return full | int(z >= _FULL) << (4 + (signs >> 2 & 1))
+def _full_facings(normals: Int8s, sample: int) -> int:
+    """Return the facings of full weight in lookups with a sample's normal."""
+    square = 0
+    for axis in range(3):
+        square += int(normals[sample, axis]) ** 2
+    full = 0
+    for axis in range(3):
+        component = int(normals[sample, axis])
+        is_full = component != 0 and component * component >= _FULL * _FULL * square
+        full |= int(is_full) << (2 * axis + int(component < 0))
+    return full
