@@ -30,7 +30,7 @@ needs_jit = pytest.mark.skipif(jit.DISABLED, reason="too slow without compilatio
 def pytest_xdist_auto_num_workers(config):
     """Share the whole suite among the processors; run some files in this process.
 
-    One process more than processors: those that wait for a browser leave theirs idle four tenths of the time.
+    One process more than processors, since some wait for a browser: no processor is idle then.
     """
     return cpu_count() + 1 if _runs_all(config) else 0
 

@@ -54,11 +54,7 @@ class Easel(Studio):
 
     def done(self) -> None:
         """Wait until the page shows all that it has sent."""
-        self.shown.wait_for_function(
-            """(({ commands, status }) =>
-              !commands.waiting.length && (status.finished[commands.page] ?? 0) === commands.number
-            )(viewer.painting)"""
-        )
+        self.is_done(self.shown)
         sharp(self.shown)
 
     def lay(self, image: npt.NDArray[np.uint8], name: str = "photo.png") -> None:

@@ -72,9 +72,10 @@ class Studio:
         self.viewer = Viewer(lambda: self.texture, path, self.surface, **shown)
 
     def page(self) -> Any:
-        """Open a page."""
+        """Open a page; the cell under a pointer that rests is not marked, as its program takes a second."""
         page = opened(self.browser, self.viewer.url, SIZE)
         page.wait_for_function("viewer.painting && viewer.isSharp")
+        page.evaluate("viewer.pickSoon = () => {}")
         return page
 
     @contextmanager

@@ -72,8 +72,7 @@ def test_nothing_is_told_where_no_other_paint_is_met():
 def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio, page):
     page.set_viewport_size({"width": 900, "height": 210})  # without a GPU, each pixel beneath costs 0.1 ms
 
-    def told(what):
-        page.wait_for_function(what)
+    told = page.wait_for_function
 
     def stroke(tool, **brush):
         """Draw a stroke; return how far what is shown is from what is baked, inside it, in codes."""

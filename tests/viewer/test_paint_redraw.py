@@ -27,9 +27,7 @@ def test_only_what_is_near_a_change_is_drawn_anew(browser, tmp_path):
     with studio.opened() as page:
         near = 0
         page.set_viewport_size({"width": 760, "height": 280})
-        page.evaluate(
-            "viewer.maxScale = 0.5; viewer.showPicked = () => {}"
-        )  # the cell under the pointer is not marked
+        page.evaluate("viewer.maxScale = 0.5")
         for view in ("orbit(0.3, 0.2)", "zoom(0.2)", "zoom(9.0)", "orbit(0.9, 0.1)"):
             page.evaluate(f"viewer.camera.{view}; viewer.invalidate()")
             sharp(page)
