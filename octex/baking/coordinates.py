@@ -50,11 +50,10 @@ def check_overlaps(
         drawn = _drawn(layout, pool)
         covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
         shared = max(whole - covered, 0.0) / whole
-        if shared > _MOST:
-            shared = _differing(texture, mesh, names, layout, drawn)
-        if shared <= _MOST:  # texels of some triangles may show far more surface than others
+        areas = None
+        if shared <= _MOST:  # small parts of a map may show most of the surface
             areas = areas_of(mesh)[layout.faces] / np.bincount(layout.faces)[layout.faces]
-            shared = _differing(texture, mesh, names, layout, drawn, areas)
+        shared = _differing(texture, mesh, names, layout, drawn, areas)
     if shared > _MOST:
         raise ModelError(
             f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, "
@@ -106,7 +105,7 @@ def _in_same_texels(mesh: Mesh, triangles: Int64s, weights: Float64s, size: int)
 
 def _differing(
     texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Drawn,
-    shares: Float64s | None = None,
+    shares: Float64s | None,
 ) -> float:  # fmt: skip
     """Return the part of a map's triangles whose texels show another, differing area.
 
