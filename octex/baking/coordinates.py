@@ -52,11 +52,10 @@ def check_overlaps(
         drawn = TexelRows(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
         covered = float(drawn.areas.sum(dtype=np.float64)) / (layout.width * layout.height)
         shared = max(area - covered, 0.0) / area
-        if shared > _MOST:
-            shared = _differing(texture, mesh, names, layout, drawn)
-        if shared <= _MOST:  # texels of some triangles may show far more surface than others
+        areas = None
+        if shared <= _MOST:  # small parts of a map may show most of the surface
             areas = areas_of(mesh)[layout.faces] / np.bincount(layout.faces)[layout.faces]
-            shared = _differing(texture, mesh, names, layout, drawn, areas)
+        shared = _differing(texture, mesh, names, layout, drawn, areas)
     if shared > _MOST:
         raise ModelError(
             f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, "
@@ -108,7 +107,7 @@ def _in_same_texels(mesh: Mesh, triangles: Int64s, weights: Float64s, size: int)
 
 def _differing(
     texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: TexelRows,
-    shares: Float64s | None = None,
+    shares: Float64s | None,
 ) -> float:  # fmt: skip
     """Return the part of a map's triangles whose texels show another, differing area.
 

@@ -26,6 +26,8 @@ IMAGES = {
 }
 #: Alpha is a mask if at most this part of its translucent texels lies between the two values.
 _CLEAR, _SOLID, _MOST_BETWEEN = 0.05, 0.95, 0.1
+#: Averages of colours may exceed 1 by this much: their weights are rounded.
+_ROUNDING = 1e-5
 #: Rows of texels that are encoded at once.
 _ENCODED = 8
 #: Bits per number in maps; 32 are floats.
@@ -88,7 +90,8 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
             lanes = tuple(range(first, first + form.components))
             strength = 1.0
             if form.space == "srgb" and bits != _FLOAT:
-                strength = max(1.0, float(maps.channel(name).max(initial=0.0)))
+                most = float(maps.channel(name).max(initial=0.0))
+                strength = most if most > 1.0 + _ROUNDING else 1.0
             inputs[name] = Input((strength,) * form.components, Texture(texels, wrap, wrap), lanes)
         images.append((texels, {name: inputs[name] for name in present}))
     firsts = range(0, len(maps.areas), _ENCODED)

@@ -7,7 +7,7 @@ levels      voxelizes the surface block by block: the means of all cells, and th
 samples     points of the surface in each cell, with the source's values
 fit         leaf values that fit the field to the samples: lookups finds the taps, solve the values
 detail      local depth, from a function or channel
-adapt       merges leaves where the field stays near: prune makes the trees, differences measures the errors,
-            evaluator evaluates the field
+adapt       merges leaves where the field stays near: prune makes the trees, differences compares them,
+            evaluator evaluates the field, measure says how far values are apart
 large       arrays in files
 """

@@ -1,5 +1,7 @@
 """Texels against counting, gutters against unfolding by hand, charts in their places."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,10 +11,11 @@ from octex.baking import atlas
 from octex.baking.coordinates import stretches_of
 from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import kept_layout, neighbours_of_mesh, unit_area
-from octex.baking.maps import fit_rows, lacking
+from octex.baking.maps import Values, fit_rows, inputs_of, lacking
 from octex.baking.texels import draw_texels, texel_points
 from octex.errors import ModelError
 from octex.source.corners import Corners
+from octex.source.images.pyramid import CLAMP
 from octex.source.mesh import Mesh
 from octex.source.surface import Surface
 from tests.baking.test_bake import cube_with_charts, scattered_triangles
@@ -261,3 +264,13 @@ def test_stretches_are_least_singular_values_and_their_ways():
         np.testing.assert_allclose(np.linalg.norm(ways[n] @ points[faces[n]]), 1.0)
         moved = np.linalg.norm(100.0 * ways[n] @ uv[faces[n]])
         np.testing.assert_allclose(moved, least, atol=1e-5 * max(most, 1.0))
+
+
+@pytest.mark.parametrize(("most", "factor"), [(1.0 + 2.0**-23, 1.0), (3.0, 3.0)])
+def test_images_are_scaled_only_for_light_that_exceeds_1_by_more_than_rounding(most, factor):
+    maps = Values.of(["base_color"], 4, 4)
+    maps.values[:, :2], maps.areas[:] = most, 1.0
+    with ThreadPoolExecutor() as pool:
+        read = inputs_of(maps, 8, 1.0, CLAMP, pool)["base_color"]
+    assert read.factor == (factor,) * 3
+    assert read.texture.texels[..., :3].max() == 65535

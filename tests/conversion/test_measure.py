@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.channels import ALPHA, BASE_COLOR, EMISSIVE, NORMAL, ROUGHNESS, linear_to_srgb, srgb_to_linear
-from octex.conversion.differences import ErrorColumns, are_near, are_near_between, are_surely_near, subtract
+from octex.conversion.measure import ErrorColumns, are_near, are_near_between, are_surely_near, subtract
 from octex.jit import kernel
 
 
