@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from octex.viewer.downloads import Downloads
 
 #: Seconds between heartbeats, and seconds without any page until the server ends.
-_BEAT, _IDLE = 1.0, 30.0
+_BEAT, _ALONE = 1.0, 30.0
 #: Factor of that time for the first page: browsers may start slowly.
 _FIRST = 20
 #: Deflate's level for changes: packing takes longer than sending on one machine.
@@ -133,15 +133,15 @@ class Viewer:
         """Return the answer to a page's challenge, which only the holder of the token can compute."""
         return hmac.digest(self.token.encode(), asked.encode(), "sha256").hex()
 
-    def run(self, idle: float = _IDLE) -> None:
-        """Serve until SIGTERM, or until no page is open for ``idle`` seconds (20 times that at first)."""
+    def run(self, alone: float = _ALONE) -> None:
+        """Serve until SIGTERM, or until no page is open for ``alone`` seconds (20 times that at first)."""
         thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
         )
         thread.start()
         self._closed_at = time.monotonic()
         try:
-            while self._pages or time.monotonic() < self._closed_at + idle * (
+            while self._pages or time.monotonic() < self._closed_at + alone * (
                 1 if self._had_page else _FIRST
             ):
                 time.sleep(0.1)
