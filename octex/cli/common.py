@@ -164,7 +164,7 @@ def report_file(
     written = {name: other for name, other in (others or {}).items() if other[0] is not None}
     facts = {"output": str(path), "bytes": size, **details, "seconds": round(seconds, 3)}
     facts |= {name: str(file) for name, (file, _) in written.items()}
-    first = ", ".join([*filter(None, [text]), bytes_text(size), f"{seconds:.1f} s"])
+    first = ", ".join([*filter(None, [text]), bytes_text(facts["bytes"]), f"{seconds:.1f} s"])
     files = [f"{file}: {description}" for file, description in written.values()]
     report(options, facts, f"{path}: {first}", *files, *lines)
     return ExitCode.DONE
