@@ -355,11 +355,11 @@ def separate(
     while margin <= most:
         if overlaps.margin < margin:
             overlaps = surface.overlapping_parts(2.0 * margin)
-        made = surface.separated(margin, overlaps)
+        separated = surface.separated(margin, overlaps)
         # The whole has grown, and with it the cells.
-        if margin_in(made) <= margin * (1.0 + 1e-9):
-            return Separated(made, overlaps)
-        margin = 1.01 * margin_in(made)
+        if margin_in(separated) <= margin * (1.0 + 1e-9):
+            return Separated(separated, overlaps)
+        margin = 1.01 * margin_in(separated)
     raise ArgumentError(
         f"{surface.name}: {overlaps.n_parts} parts do not fit {cells:g} cells apart into depth {depth}; "
         "use a larger depth"

@@ -184,12 +184,12 @@ class Fitter(NamedTuple):
             rows = leaves.numbers(*brick) - first_row
             for whole, part in zip(stored, parts, strict=True):
                 whole[rows] = part
-        made = {
+        new_channels = {
             channel.format.name: channel._replace(**{table: each})  # type: ignore[arg-type]
             for channel, each in zip(known, stored, strict=True)
             if channel.format.name not in self.unfitted
         }
-        return {**channels, **made}
+        return {**channels, **new_channels}
 
 
 @kernel
@@ -343,9 +343,9 @@ def with_sides(fitter: Fitter, tree: Octree, means: Channels, values: Channels) 
     tried = with_split(tried, whole, tree.arrays.flags[whole] & np.uint8(FACING_FLAGS), {})
     start = {name: channel._replace(values=values[name].values) for name, channel in tried.channels.items()}
     fitted = fitter.fit_rows(tried.tree, start, leaves.rows_of(tried.tree, chosen))
-    made = tried.with_cells(tried.tree, fitted)
-    made = without_split(made, split_in_vain(made, whole))
-    return made.tree, made.channels
+    adapted = tried.with_cells(tried.tree, fitted)
+    adapted = without_split(adapted, split_in_vain(adapted, whole))
+    return adapted.tree, adapted.channels
 
 
 def _facing_apart(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor) -> Bools:

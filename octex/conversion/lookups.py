@@ -313,8 +313,8 @@ def _residuals(
                 inverse = one / total if total > zero else zero
                 axes[n, 9] = inverse
                 share = shares[n] if total > zero else zero
-                found = x * inverse, y * inverse, z * inverse
-                write_residual(found, targets, share, components, is_light, sample, rows)
+                position = x * inverse, y * inverse, z * inverse
+                write_residual(position, targets, share, components, is_light, sample, rows)
         for entry in range(begin, end):
             to = np.uint64(4) * np.uint64(cubes.positions[entry])
             for part in range(4):

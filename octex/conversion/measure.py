@@ -126,11 +126,11 @@ def are_near_between(differences: Float64s, count: int, most: float) -> bool:
         middle = differences[column, 0]
         near = abs(middle) <= most
         for corner in range(1, 1 + corners):
-            here = differences[column, corner]
+            at_corner = differences[column, corner]
             after = differences[column, corner + 1 if corner < corners else 1]
-            near &= abs(here) <= most
-            near &= abs(2.0 * differences[column, corner + corners] - 0.5 * (here + middle)) <= most
-            near &= abs(2.0 * differences[column, corner + 2 * corners] - 0.5 * (here + after)) <= most
+            near &= abs(at_corner) <= most
+            near &= abs(2.0 * differences[column, corner + corners] - 0.5 * (at_corner + middle)) <= most
+            near &= abs(2.0 * differences[column, corner + 2 * corners] - 0.5 * (at_corner + after)) <= most
         if not near:
             return False
     return True

@@ -147,21 +147,21 @@ def convert_voxels(
         leaves[depths == level] = np.flatnonzero(~is_node) + tree.arrays.level_cells[level]
     areas = np.full(tree.n_cells, area_codes(np.ones(1))[0], np.uint8)
     tree = with_summed_areas(tree.with_cell_data(tree.arrays.flags, areas), all_nodes(tree))
-    made = {}
+    by_name = {}
     for form in forms:
         values = voxels.values[form.name]
         check_range(values.rows, values.form, form.dtype, voxels.name)
         rows = np.zeros((tree.n_cells, form.components), form.dtype)
         rows[leaves] = _encoded(values, form)[order]
-        made[form.name] = Channel(form, rows, rows[:0], rows[:0])
+        by_name[form.name] = Channel(form, rows, rows[:0], rows[:0])
     edges = np.ldexp(voxels.size, -voxels.depths.astype(np.int32))[:, None]
     low, high = (voxels.coords * edges).min(axis=0), ((voxels.coords + 1) * edges).max(axis=0)
     bounds = np.array([low, high]) + voxels.origin
     options = {"channels": {form.name: form.dtype for form in forms}, "voxels": len(voxels)}
     metadata = _metadata(voxels.name, options)
-    texture = OctreeTexture(tree, made, Placement(voxels.origin, voxels.size), bounds, metadata)
-    for name in sorted(made, key=lambda each: each != ALPHA.name):  # alpha first: it weighs the others
-        average(texture, made[name])
+    texture = OctreeTexture(tree, by_name, Placement(voxels.origin, voxels.size), bounds, metadata)
+    for name in sorted(by_name, key=lambda each: each != ALPHA.name):  # alpha first: it weighs the others
+        average(texture, by_name[name])
     report("voxels", 1, 1)
     return texture
 

@@ -115,12 +115,12 @@ def grafted(
     flags = tree.arrays.flags & np.uint8(~SPLIT & 0xFF)
     flags[pruned.cells] = grown.arrays.flags
     split = grown.split._replace(cells=pruned.cells[grown.split.cells].astype(np.uint32))
-    made = {}
+    grafted_channels = {}
     for name, channel in channels.items():
         copy = large.copied(channel.values)
         copy[pruned.cells[pruned.leaves]] = values[name].values[pruned.leaves]
-        made[name] = channel._replace(values=copy, split_values=values[name].split_values)
-    return tree.with_cell_data(flags, tree.arrays.areas, split), made
+        grafted_channels[name] = channel._replace(values=copy, split_values=values[name].split_values)
+    return tree.with_cell_data(flags, tree.arrays.areas, split), grafted_channels
 
 
 @kernel

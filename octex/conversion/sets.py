@@ -63,7 +63,7 @@ def convert_set(
     names = None if channels is None else as_names(channels, "channels")
     models: dict[str, str | os.PathLike[str] | Surface | PointCloud] = {}
     metadata: dict[str, str] = {}
-    made: dict[str, OctreeTexture] = {}
+    textures: dict[str, OctreeTexture] = {}
     if isinstance(parts, Mapping):
         if rest is not None:
             raise ArgumentError(
@@ -81,25 +81,25 @@ def convert_set(
             _, placement, _ = placed(part, depth, cell)
             count, _ = count_degenerate(on_grid(part.rest, placement), part.triangles)
             if count == len(part.triangles):
-                made[name] = _single_cell(part, placement, names, dtype)
-        if len(made) == len(models):
+                textures[name] = _single_cell(part, placement, names, dtype)
+        if len(textures) == len(models):
             raise ModelError(f"{surface.name}: none of its parts has an area; there is nothing to convert")
-    run.report("convert", len(made), len(models))
+    run.report("convert", len(textures), len(models))
     with workers(run) as pool:
         points = [name for name, model in models.items() if _is_points(model)]
         # Next to surfaces, points ignore the options that only surfaces have.
         is_mixed = len(points) < len(models)
-        for name in [name for name in models if name not in made]:
+        for name in [name for name in models if name not in textures]:
             options: dict[str, Any] = {"filter": filter, "fit": fit, "run": Run(executor=pool)}
             if name in points:
                 options = {} if is_mixed else options | {"run": replace(run, progress=None)}
-            made[name] = convert(
+            textures[name] = convert(
                 models[name], depth,
                 cell=cell, channels=names, sources=sources, dtype=dtype, max_error=max_error, detail=detail,
                 **options,
             )  # fmt: skip
-            run.report("convert", len(made), len(models))
-    return TextureSet({name: made[name] for name in models}, metadata)
+            run.report("convert", len(textures), len(models))
+    return TextureSet({name: textures[name] for name in models}, metadata)
 
 
 def _is_points(model: object) -> bool:
@@ -128,9 +128,9 @@ def _single_cell(
     thirds = np.full((count, 3), 1 / 3)
     rows = surface.evaluate_all(np.arange(count, dtype=np.int32), thirds, np.zeros(count, np.float32))
     means = by_channel(surface.channels, rows.mean(axis=0, keepdims=True))
-    made = {}
+    by_name = {}
     for known, form in zip(surface.channels, formats_as(surface.channels, dtype), strict=True):
         check_range(means[form.name], known, form.dtype, surface.name)
         values = encode(means[form.name], form.dtype, form.space)
-        made[form.name] = Channel(form, values, values[:0], values[:0])
-    return OctreeTexture(Octree.from_leaves([0], 0), made, placement, surface.bounds, surface.provenance)
+        by_name[form.name] = Channel(form, values, values[:0], values[:0])
+    return OctreeTexture(Octree.from_leaves([0], 0), by_name, placement, surface.bounds, surface.provenance)
