@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from octex.archive import structure, values
-from octex.archive.entropy import DECODES, Coder, Model, decoder, encoded, is_whole, new_model, noter
+from octex.archive.entropy import DECODES, AdaptiveModel, Coder, decoder, encoded, is_whole, new_model, noter
 from octex.archive.layout import AREAS, STRUCTURE, Block, CodedArrays, Coding, DamagedError, owners_of
 from octex.arrays import Array
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
@@ -18,7 +18,7 @@ def code_block(
     codings: Mapping[str, Coding],
     block: Block,
     kinds: Sequence[str],
-    models: dict[str, Model],
+    models: dict[str, AdaptiveModel],
     streams: Iterator[tuple[int, bytes]] | None = None,
 ) -> list[bytes]:
     """Code streams of a block: those of ``kinds``, in the order STRUCTURE, AREAS, channels.
@@ -39,7 +39,7 @@ def code_block(
         if is_only:
             models[kind] = model
         else:
-            model = Model(model.numbers.copy(), model.odds.copy())
+            model = AdaptiveModel(model.numbers.copy(), model.odds.copy())
         if streams is None:
             coder = noter(model, most_notes)
         else:

@@ -45,16 +45,16 @@ _EVEN = np.array([_MOST // SYMBOLS * i for i in range(SYMBOLS)] + [_MOST] + [0] 
 _LANES = np.arange(SYMBOLS, dtype=np.int16)
 
 
-class Model(NamedTuple):
+class AdaptiveModel(NamedTuple):
     """The adaptive state of a stream."""
 
     numbers: Int16s  # (contexts · 32,)
     odds: Uint32s  # (contexts of bits,)   of 65536: how likely 0 is
 
 
-def new_model(symbols: int, bits: int) -> Model:
+def new_model(symbols: int, bits: int) -> AdaptiveModel:
     """Return a model of contexts of symbols, and of bits."""
-    return Model(np.tile(_EVEN, symbols), np.full(bits, 1 << 15, np.uint32))
+    return AdaptiveModel(np.tile(_EVEN, symbols), np.full(bits, 1 << 15, np.uint32))
 
 
 class Coder(NamedTuple):
@@ -63,15 +63,15 @@ class Coder(NamedTuple):
     work: int  # NOTES or DECODES
     state: Int64s  # the states, then PLACE and FAULT
     stream: Int64s  # the words that are decoded, or notes: size | start << 16 | plain << 32 | count << 48
-    model: Model
+    model: AdaptiveModel
 
 
-def noter(model: Model, most: int) -> Coder:
+def noter(model: AdaptiveModel, most: int) -> Coder:
     """Return a coder that notes, with room for ``most`` notes."""
     return Coder(NOTES, np.array(_BEGIN, np.int64), np.empty(most, np.int64), model)
 
 
-def decoder(model: Model, content: bytes) -> Coder:
+def decoder(model: AdaptiveModel, content: bytes) -> Coder:
     """Return a coder that reads a stream's bytes: first the states, then words, then an added zero."""
     words = np.frombuffer(content, "<u4", len(content) // 4)
     coder = Coder(DECODES, np.array(_BEGIN, np.int64), np.append(words, np.uint32(0)).astype(np.int64), model)

@@ -16,7 +16,7 @@ import numpy as np
 
 from octex import container
 from octex.archive.blocks import code_block
-from octex.archive.entropy import Model
+from octex.archive.entropy import AdaptiveModel
 from octex.archive.layout import (
     AREAS,
     BLOCK,
@@ -70,7 +70,7 @@ class Decoded(NamedTuple):
     sizes: dict[str, int]  # bytes of its streams: structure, areas, each channel …
 
 
-class _Stream(NamedTuple):
+class _StreamPlace(NamedTuple):
     """A stream's place in the file."""
 
     begin: int
@@ -90,7 +90,7 @@ class _Stream(NamedTuple):
 
 
 #: A block, and where its streams lie.
-_Part = tuple[Block, dict[str, _Stream]]
+_Part = tuple[Block, dict[str, _StreamPlace]]
 
 
 @contextmanager
@@ -130,7 +130,7 @@ class Decoding:
 
     def __init__(self, content: mmap.mmap, fetch: Fetch = lambda _ranges: None) -> None:
         self._content, self._fetch = content, fetch
-        self._models: dict[str, Model] = {}
+        self._models: dict[str, AdaptiveModel] = {}
         #: Where the streams end.
         self._end, header, root, records = _directory(content, fetch)
         try:
@@ -277,13 +277,13 @@ class Decoding:
         read = ((stream.begin, stream.read(self._content)) for stream in streams.values())
         code_block(self._coded, self._codings, block, list(streams), self._models, read)
 
-    def _stream(self) -> _Stream:
+    def _stream(self) -> _StreamPlace:
         """Return the place of the file's next stream."""
         begin, length = self._at_byte, next(self._records)
         self._at_byte += length
         if self._at_byte > self._end:
             raise DamagedError("its blocks are longer than the file; copy it again")
-        return _Stream(begin, length, next(self._records))
+        return _StreamPlace(begin, length, next(self._records))
 
     def _planned(self) -> Iterator[_Part]:
         """Yield the blocks, level by level."""

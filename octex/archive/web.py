@@ -91,7 +91,7 @@ class _Stream:
         return DamagedError(f"is damaged, in {self.name}; {_AGAIN}")
 
 
-class _Tree:
+class _PartContent:
     """The content of a part, as far as read."""
 
     def __init__(self, part: dict[str, Any]) -> None:
@@ -212,7 +212,7 @@ def _contents(header: dict[str, Any], content: bytes, first: int) -> Decoded:
     if len(parts) != 1:
         raise DamagedError(f"has {len(parts)} parts; write a file of one part's texture")
     part = parts[0]
-    tree = _Tree(part)
+    tree = _PartContent(part)
     corner, size = [float(x) for x in part["origin"]], float(part["size"])
     bounds = part.get("bounds", [corner, [x + size for x in corner]])
     forms = {each["name"]: (each["space"], *map(float, each["range"])) for each in part["channels"]}
@@ -241,7 +241,7 @@ def _contents(header: dict[str, Any], content: bytes, first: int) -> Decoded:
     return Decoded(_tensors(tree, forms), metadata, {})
 
 
-def _tensors(tree: _Tree, forms: dict[str, tuple[str, float, float]]) -> dict[str, Array]:
+def _tensors(tree: _PartContent, forms: dict[str, tuple[str, float, float]]) -> dict[str, Array]:
     arrays = groups_of(tree.masks), tree.level_cells, tree.level_nodes, tree.flags, tree.areas
     tensors: dict[str, Array] = dict(zip(TREE_NAMES, arrays, strict=True))
     flagged = tree.flags & np.uint8(SPLIT | KEPT)

@@ -13,7 +13,7 @@ import numpy as np
 
 from octex import container
 from octex.archive.blocks import code_block
-from octex.archive.entropy import Model, new_model, noter
+from octex.archive.entropy import AdaptiveModel, new_model, noter
 from octex.archive.layout import (
     AREAS,
     CLASSES,
@@ -82,7 +82,7 @@ def write(
             for rows, original, count in zip(decoded[name], channel, (1, place.row, place.kept), strict=True):
                 rows[:count] = original[:count]
     content, kinds = content._replace(decoded=decoded), (STRUCTURE, AREAS, *codings)
-    models: dict[str, Model] = {}
+    models: dict[str, AdaptiveModel] = {}
 
     def encode(block: Block) -> tuple[list[int], list[bytes]]:
         """Return the start of a block's record, and its streams."""

@@ -16,7 +16,7 @@ from octex.baking.coordinates import cell_of
 from octex.baking.directions import in_tangent_space, rotated
 from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbours_of_mesh, steps_between
-from octex.baking.maps import BITS, Bits, Values, alpha_mode, average, inputs_of, lacking
+from octex.baking.maps import BITS, Bits, MapValues, alpha_mode, average, inputs_of, lacking
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
 from octex.baking.texels import Drawing, TexelPoints, TexelRows, texel_points
 from octex.channels import ALPHA, MATERIAL_CHANNELS, NORMAL
@@ -132,7 +132,7 @@ def bake(
         sheets = sheets_of(texture, surface, probed, uv, texture_size, padding, pool, detail)
         coordinates = coordinates_of(sheets, len(surface.triangles))
         run.report("unwrap", 1, 1)
-        lookups = _Lookups(texture, surface, original, sheets, coordinates, names, bits, supersample)
+        lookups = _TexelLookups(texture, surface, original, sheets, coordinates, names, bits, supersample)
         first, rows = 0, sum(sheet.layout.height for sheet in sheets)
         materials: list[Material] = []
         shows_any = False
@@ -163,11 +163,11 @@ def bake(
 
 
 def _bake_sheet(
-    lookups: _Lookups, sheet: Sheet, pool: Executor, progress: Progress
+    lookups: _TexelLookups, sheet: Sheet, pool: Executor, progress: Progress
 ) -> tuple[list[Material], bool]:
     """Return the materials of a sheet with its maps, and whether the maps show anything."""
     layout = sheet.layout._replace(faces=sheet.triangles[sheet.layout.faces])
-    maps = Values.of(lookups.names, layout.height, layout.width)
+    maps = MapValues.of(lookups.names, layout.height, layout.width)
     is_drawn = np.zeros(maps.areas.shape, np.bool_)
     ends = [*range(0, layout.height, _BAND), layout.height]
     drawing = Drawing.of(layout.sized(lookups.supersample * layout.width))
@@ -249,7 +249,7 @@ class _Original(NamedTuple):
         return nearest
 
 
-class _Lookups:
+class _TexelLookups:
     """The lookups of all texels, and the data that they share."""
 
     def __init__(
@@ -315,7 +315,7 @@ class _Lookups:
         put_rows(samples, texels, values)
 
 
-def _blur(lookups: _Lookups, layout: Layout) -> float:
+def _blur(lookups: _TexelLookups, layout: Layout) -> float:
     """Return the part of a mean's variance in lookups; those up to a leaf wide return the field itself."""
     areas = np.abs(doubled_areas(layout.corners))
     leaf = lookups.supersample * cell_of(lookups.texture)
@@ -323,7 +323,7 @@ def _blur(lookups: _Lookups, layout: Layout) -> float:
     return float((areas * blur).sum() / max(float(areas.sum()), 1e-300))
 
 
-def _bake_band(task: tuple[_Lookups, Drawing, slice, Values, Bools]) -> None:
+def _bake_band(task: tuple[_TexelLookups, Drawing, slice, MapValues, Bools]) -> None:
     """Write the channels at the texels of a band of rows, and the covered part of each texel."""
     lookups, drawing, band, maps, is_drawn = task
     n, lanes = lookups.supersample, maps.values.shape[2]
@@ -343,7 +343,7 @@ def _bake_band(task: tuple[_Lookups, Drawing, slice, Values, Bools]) -> None:
 
 
 def _bake_drawn(
-    lookups: _Lookups, layout: Layout, drawn: TexelRows, first: int, lanes: Mapping[str, slice],
+    lookups: _TexelLookups, layout: Layout, drawn: TexelRows, first: int, lanes: Mapping[str, slice],
     values: Float32s, areas: Float32s,
 ) -> None:  # fmt: skip
     """Write the channels of rows from ``first`` on; texels without a value get area 0."""
@@ -368,7 +368,7 @@ def _bake_drawn(
         values[points.texels, lane] = normals
 
 
-def _bake_flat(lookups: _Lookups, layout: Layout, is_drawn: Bools, maps: Values) -> None:
+def _bake_flat(lookups: _TexelLookups, layout: Layout, is_drawn: Bools, maps: MapValues) -> None:
     """Write the channels of flat triangles to the texels that they read and no other triangle covers."""
     rows, barycentric = _points_on(layout)
     triangles = layout.faces[rows]
@@ -418,7 +418,7 @@ def _means_at_texels(
     return texels.astype(np.int32), np.stack(lanes, axis=1).astype(np.float32)
 
 
-def _bake_gutter(lookups: _Lookups, layout: Layout, borders: Borders, maps: Values) -> None:
+def _bake_gutter(lookups: _TexelLookups, layout: Layout, borders: Borders, maps: MapValues) -> None:
     """Write the channels of gutter texels, as large as the chart's texels, in the plane of their triangle."""
     mesh = lookups.surface
     gutter = gutter_of(borders, layout, mesh.rest, mesh.triangles, lookups.neighbours, lookups.sides)

@@ -46,7 +46,7 @@ class Patterns(NamedTuple):
     shares: Float32s  # (samples,)
 
 
-class _Level(NamedTuple):
+class _BlockLevel(NamedTuple):
     """The data of one level."""
 
     tiles: Tiles
@@ -73,7 +73,7 @@ class TexelBlocks(NamedTuple):
 
     placement: Placement
     normals: Float32s  # (m, 3)   of the triangles
-    levels: list[_Level]
+    levels: list[_BlockLevel]
     alpha: Codes | None
     codes: list[Codes]  # of the channels
     lanes: list[int]  # the first component of each channel
@@ -110,7 +110,9 @@ class TexelBlocks(NamedTuple):
             if averages is not field:
                 areas = field.areas_of_averages(level)[: averages.tree.n_cells]
             assert averages.tiles is not None
-            levels.append(_Level(averages.tiles, averages.facings, areas, Patterns(starts, offsets, shares)))
+            levels.append(
+                _BlockLevel(averages.tiles, averages.facings, areas, Patterns(starts, offsets, shares))
+            )
         components = [texture.channels[name].format.components for name in names]
         firsts = np.cumsum([0, *components]).tolist()
         codes, is_alpha = [values[name].codes for name in names], [values[name].is_alpha for name in names]

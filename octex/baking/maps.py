@@ -41,7 +41,7 @@ _ALIKE = {8: 1.001 / 255, 16: 0.0, _FLOAT: 1e-6}
 _LACKING, _OF_MEANS = 1.0 / 12.0, 1.0 / 24.0
 
 
-class Values(NamedTuple):
+class MapValues(NamedTuple):
     """Linear channels at the texels of a map, side by side."""
 
     lanes: Mapping[str, slice]
@@ -49,7 +49,7 @@ class Values(NamedTuple):
     areas: Float32s  # (height, width)   0 where nothing is drawn
 
     @classmethod
-    def of(cls, names: list[str], height: int, width: int) -> Values:
+    def of(cls, names: list[str], height: int, width: int) -> MapValues:
         """Allocate zeros."""
         ends = np.cumsum([0, *(CHANNELS[name].components for name in names)]).tolist()
         lanes = {name: slice(*span) for name, span in zip(names, pairwise(ends), strict=True)}
@@ -71,7 +71,7 @@ def average(fine: Float32s, covered: Float32s, n: int, values: Float32s, areas: 
     areas /= np.float32(n * n)
 
 
-def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executor) -> dict[str, Input]:
+def inputs_of(maps: MapValues, bits: int, part: float, wrap: int, executor: Executor) -> dict[str, Input]:
     """Return the inputs of materials, read from images of channels with 8, 16 or 32 bits.
 
     Texels are fitted to bilinear reading; ``part`` is as in `lacking`. ``wrap`` is the images' wrap mode. A
@@ -127,7 +127,7 @@ def _full_value(texels: Texels) -> float:
 
 
 def _encode(
-    maps: Values, bits: int, part: float, images: Sequence[tuple[Texels, Mapping[str, Input]]], first: int
+    maps: MapValues, bits: int, part: float, images: Sequence[tuple[Texels, Mapping[str, Input]]], first: int
 ) -> None:
     """Write rows of images from ``first`` on: fitted texels as integers of ``bits`` bits, or as floats."""
     end = min(first + _ENCODED, len(maps.areas))

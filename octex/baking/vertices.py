@@ -34,7 +34,7 @@ _ON_EDGES = ((0.75, 0.25), (0.25, 0.75))
 _ON_TRIANGLES = ((1 / 3, 1 / 3, 1 / 3), (0.6, 0.2, 0.2), (0.2, 0.6, 0.2), (0.2, 0.2, 0.6))
 
 
-class _Points(NamedTuple):
+class _SplitVertices(NamedTuple):
     """Vertices of a mesh that is being subdivided."""
 
     posed: Float64s  # (n, 3)
@@ -48,12 +48,12 @@ class _Points(NamedTuple):
         """Return the texture's colours between vertices ``ends`` (k, 2 or 3), mixed by ``shares``."""
         return _colors(texture, _mixed(self.rest, ends, shares), _mixed(self.facing, ends, shares))
 
-    def with_middles(self, ends: Int64s, texture: OctreeTexture) -> _Points:
+    def with_middles(self, ends: Int64s, texture: OctreeTexture) -> _SplitVertices:
         """Return these points, followed by the midpoints of edges (k, 2)."""
         middles = [_mixed(each, ends, _MIDDLE) for each in self[:4]]
         numbers = welded(in_order(self.positions[ends])) + int(self.positions.max()) + 1
         added = (*middles, self.between(ends, texture, _MIDDLE), numbers)
-        return _Points._make(np.concatenate([a, b]) for a, b in zip(self, added, strict=True))
+        return _SplitVertices._make(np.concatenate([a, b]) for a, b in zip(self, added, strict=True))
 
 
 def bake_vertices(
@@ -148,7 +148,7 @@ def bake_vertices(
     )  # fmt: skip
 
 
-def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_Points, Int64s]:
+def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_SplitVertices, Int64s]:
     """Return a surface's vertices, split where shading normals differ, and its triangles (m, 3)."""
     corners = np.zeros((3 * len(surface.triangles), 2), np.int64)
     corners[:, 0] = surface.triangles.reshape(-1)
@@ -165,7 +165,7 @@ def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_Points, Int64
         np.add.at(facing, triangles[:, corner], crosses)
         if surface.frames is not None:
             shading[triangles[:, corner]] = normals.values[normals.rows[:, corner]]
-    return _Points(posed, rest, facing, shading, _colors(texture, rest, facing), positions), triangles
+    return _SplitVertices(posed, rest, facing, shading, _colors(texture, rest, facing), positions), triangles
 
 
 def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float32s:
@@ -179,7 +179,11 @@ def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float3
 
 
 def _is_off(
-    points: _Points, ends: Int64s, texture: OctreeTexture, error: float, positions: Sequence[Sequence[float]]
+    points: _SplitVertices,
+    ends: Int64s,
+    texture: OctreeTexture,
+    error: float,
+    positions: Sequence[Sequence[float]],
 ) -> Bools:
     """Return the edges or triangles (k, 2 or 3) whose interpolated colours are off by more than an error."""
     is_off = np.zeros(len(ends), np.bool_)
@@ -203,7 +207,7 @@ def _codes(colors: Floats) -> Int32s:
     return np.concatenate([encode(colors[:, :3], "uint16", "srgb"), alpha], axis=1).astype(np.int32)
 
 
-def _with_longest(halved: Int64s, triangles: Sequence[Int64s], points: _Points) -> Int64s:
+def _with_longest(halved: Int64s, triangles: Sequence[Int64s], points: _SplitVertices) -> Int64s:
     """Add the longest sides of triangles that get too thin to ``halved`` edges (k, 2), between positions."""
     new_edges = halved
     while len(new_edges):

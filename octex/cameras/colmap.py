@@ -16,7 +16,7 @@ from octex.errors import CameraError
 from octex.files import read_bytes
 
 
-class _Model(NamedTuple):
+class _ParameterCounts(NamedTuple):
     """Counts of the parameters of a camera model, in order: focal lengths, the centre, the distortion."""
 
     focals: int
@@ -31,17 +31,17 @@ class _Model(NamedTuple):
 
 #: COLMAP's camera models, indexed by COLMAP's model id.
 _MODELS = {
-    "SIMPLE_PINHOLE": _Model(1),
-    "PINHOLE": _Model(2),
-    "SIMPLE_RADIAL": _Model(1, "k1"),
-    "RADIAL": _Model(1, "k1 k2"),
-    "OPENCV": _Model(2, "k1 k2 p1 p2"),
-    "OPENCV_FISHEYE": _Model(2, "k1 k2 k3 k4", "fisheye"),
-    "FULL_OPENCV": _Model(2, "k1 k2 p1 p2 k3 k4 k5 k6"),
-    "FOV": _Model(2, "omega", "fov"),
-    "SIMPLE_RADIAL_FISHEYE": _Model(1, "k1", "fisheye"),
-    "RADIAL_FISHEYE": _Model(1, "k1 k2", "fisheye"),
-    "THIN_PRISM_FISHEYE": _Model(2, "k1 k2 p1 p2 k3 k4 sx1 sy1", "fisheye"),
+    "SIMPLE_PINHOLE": _ParameterCounts(1),
+    "PINHOLE": _ParameterCounts(2),
+    "SIMPLE_RADIAL": _ParameterCounts(1, "k1"),
+    "RADIAL": _ParameterCounts(1, "k1 k2"),
+    "OPENCV": _ParameterCounts(2, "k1 k2 p1 p2"),
+    "OPENCV_FISHEYE": _ParameterCounts(2, "k1 k2 k3 k4", "fisheye"),
+    "FULL_OPENCV": _ParameterCounts(2, "k1 k2 p1 p2 k3 k4 k5 k6"),
+    "FOV": _ParameterCounts(2, "omega", "fov"),
+    "SIMPLE_RADIAL_FISHEYE": _ParameterCounts(1, "k1", "fisheye"),
+    "RADIAL_FISHEYE": _ParameterCounts(1, "k1 k2", "fisheye"),
+    "THIN_PRISM_FISHEYE": _ParameterCounts(2, "k1 k2 p1 p2 k3 k4 sx1 sy1", "fisheye"),
 }
 #: Names of a model's files.
 _FILES = ("cameras", "images", "points3D", "rigs", "frames")
@@ -87,7 +87,7 @@ def read(folder: Path, ending: str) -> list[Frame]:
         return frames
 
 
-def _optics(model: _Model, record: Record) -> Optics:
+def _optics(model: _ParameterCounts, record: Record) -> Optics:
     size = record.size()
     values = record.numbers("parameters", model.n_numbers).tolist()
     focal_x, focal_y = values[0], values[model.focals - 1]
@@ -98,7 +98,7 @@ def _optics(model: _Model, record: Record) -> Optics:
     return optics.bent(model.lens, model.distortion, bends)
 
 
-def _model_of(name: str) -> _Model:
+def _model_of(name: str) -> _ParameterCounts:
     if name not in _MODELS:
         raise BrokenError(
             f"model {reprlib.repr(name)} is not known; undistort the images to one of {', '.join(_MODELS)}"

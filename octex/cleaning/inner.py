@@ -38,7 +38,7 @@ _ROUNDING = 1e-9
 _APART = 1.0
 
 
-class _Cells(NamedTuple):
+class _TrianglesInCells(NamedTuple):
     """The cells, and the triangles in them."""
 
     rows: Int32s  # (256, 256, 256)   row of `starts`, or _EMPTY or _OUTSIDE
@@ -63,7 +63,7 @@ def seen_triangles(rest: Float64s, triangles: Int32s) -> Bools:
     depths = np.full(len(cell_coordinates), _DEEPEST, np.uint8)
     _find_depths(rows, cell_coordinates, depths)
     points = np.ldexp(grid.astype(np.float64), _DEPTH - GRID_BITS)
-    cells = _Cells(rows, depths, blocks.starts, blocks.members, points, triangles)
+    cells = _TrianglesInCells(rows, depths, blocks.starts, blocks.members, points, triangles)
     turns = np.arange(_DIRECTIONS) + 0.5  # a spiral of even density (Vogel 1979)
     heights, angles = 1.0 - 2.0 * turns / _DIRECTIONS, turns * np.pi * (3.0 - np.sqrt(5.0))
     radii = np.sqrt(1.0 - heights**2)
@@ -117,7 +117,7 @@ def _find_depths(rows: Int32s, coordinates: Int64s, depths: Uint8s) -> None:
 
 
 @kernel
-def _see(cells: _Cells, directions: Float64s, seen: Bools) -> None:
+def _see(cells: _TrianglesInCells, directions: Float64s, seen: Bools) -> None:
     for triangle in range(seen.size):
         a = row_of(cells.points, cells.triangles[triangle, 0])
         b = row_of(cells.points, cells.triangles[triangle, 1])
@@ -141,7 +141,7 @@ def _see(cells: _Cells, directions: Float64s, seen: Bools) -> None:
 
 @part
 def _is_seen(
-    cells: _Cells, directions: Float64s, first: int, lines: int, triangle: int, point: Vector
+    cells: _TrianglesInCells, directions: Float64s, first: int, lines: int, triangle: int, point: Vector
 ) -> bool:
     """Return whether a sample point is visible: from adjacent outside cells, or along some direction."""
     i, j, k = int(point[0]), int(point[1]), int(point[2])
@@ -161,7 +161,7 @@ def _is_seen(
 
 
 @part
-def _escapes(cells: _Cells, triangle: int, point: Vector, toward: Vector) -> bool:
+def _escapes(cells: _TrianglesInCells, triangle: int, point: Vector, toward: Vector) -> bool:
     """Walk along a ray, cell by cell (Amanatides & Woo 1987); return whether it gets outside."""
     i, j, k = int(point[0]), int(point[1]), int(point[2])
     x = np.inf if toward[0] == 0.0 else (i + (toward[0] > 0.0) - point[0]) / toward[0]
@@ -189,7 +189,7 @@ def _escapes(cells: _Cells, triangle: int, point: Vector, toward: Vector) -> boo
 
 
 @part
-def _hits(cells: _Cells, triangle: int, point: Vector, toward: Vector, leave: float) -> bool:
+def _hits(cells: _TrianglesInCells, triangle: int, point: Vector, toward: Vector, leave: float) -> bool:
     """Return whether a ray hits a triangle before it leaves a cell (Möller & Trumbore 1997)."""
     a = row_of(cells.points, cells.triangles[triangle, 0])
     e = minus(row_of(cells.points, cells.triangles[triangle, 1]), a)

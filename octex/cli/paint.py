@@ -15,7 +15,7 @@ from octex.cli.common import Reporter, check_outputs, facts_of, fail, identity, 
 from octex.cli.inputs import bare_model, is_texture, note_layers, only, open_texture, refuse, shaped_model
 from octex.cli.options import DEFAULT_CHANNEL, RUNNING, SHAPE
 from octex.cli.parser import Options, arguments
-from octex.cli.shots import NOTHING, Shot, flat_shots, images_of, shots_of
+from octex.cli.shots import NOTHING, InputImage, flat_shots, images_of, shots_of
 from octex.cli.values import TEXTURE_ENDING
 from octex.errors import ArgumentError, ExitCode
 from octex.files import open_file
@@ -161,8 +161,8 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
 
 
 def _fitting(
-    surface: Surface, shots: list[Shot], run: Run, progress: Reporter
-) -> tuple[list[Shot], list[str]]:
+    surface: Surface, shots: list[InputImage], run: Run, progress: Reporter
+) -> tuple[list[InputImage], list[str]]:
     """Return the images that fit the model, and the names of the others; note why."""
     images = [shot.image for shot in shots]
     if len(shots) < 2 or any(image.since is not None for image in images):
@@ -179,7 +179,7 @@ def _fitting(
     return fitting, [shots[number].path.name for number in sorted(reasons)]
 
 
-def _refined(options: Options, surface: Surface, shots: Sequence[Shot], run: Run) -> list[Shot]:
+def _refined(options: Options, surface: Surface, shots: Sequence[InputImage], run: Run) -> list[InputImage]:
     """Return the images with refined cameras, and write these cameras."""
     # By the frames' names, or the images' where a frame has several images.
     names = [shot.name for shot in shots]
@@ -199,7 +199,7 @@ def _painted(
     options: Options,
     surface: Surface,
     texture: OctreeTexture | None,
-    shots: Sequence[Shot],
+    shots: Sequence[InputImage],
     run: Run,
     progress: Reporter,
 ) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
@@ -256,7 +256,7 @@ def _merged(
     return merged if has_first_layer or merged is not texture else None
 
 
-def _reference(options: Options, shots: Sequence[Shot]) -> int | None:
+def _reference(options: Options, shots: Sequence[InputImage]) -> int | None:
     path = options.reference
     if path is None:
         return None

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 NOTHING = Path("nothing")
 
 
-class Shot(NamedTuple):
+class InputImage(NamedTuple):
     """An image to paint."""
 
     path: Path
@@ -35,7 +35,7 @@ class Shot(NamedTuple):
     name: str  # of its camera
 
 
-def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str]]:
+def shots_of(options: Options, progress: Reporter) -> tuple[list[InputImage], list[str]]:
     """Return images with their cameras, and the names of missing or damaged images."""
     from octex.source.images.decode import decode_image
 
@@ -45,7 +45,7 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
         reason = f", which have no camera in {options.camera[0]}" if options.IMAGE else ""
         progress.note(f"{which}{reason}: {listing(missing)}")
     masks = _masks(options, [path for path, _ in pairs])
-    shots: list[Shot] = []
+    shots: list[InputImage] = []
     damaged: list[Path] = []
     for (path, frame), mask in zip(pairs, masks, strict=True):
         try:
@@ -75,7 +75,7 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
 
 def flat_shots(
     options: Options, surface: Surface, texture: OctreeTexture | None, progress: Reporter
-) -> tuple[Patch, list[Shot]]:
+) -> tuple[Patch, list[InputImage]]:
     """Unwrap the disc of --unwrap; return it and its images."""
     from octex.drawing import draw_paintable
     from octex.source.images.decode import image_size
@@ -94,12 +94,12 @@ def flat_shots(
 
 def _shot(
     options: Options, path: Path, camera: Camera, mask: Path | None, since: Path | Array | None, name: str
-) -> Shot:
+) -> InputImage:
     """Return an image to paint; only pixels that differ from the unedited view ``since`` are painted."""
     key = next((each for each in options.mask if isinstance(each, tuple)), None)
     before = None if options.since == NOTHING else since
     image = octex.Projection(path, camera, mask, blend=options.blend, since=before, key=key)
-    return Shot(path, image, name)
+    return InputImage(path, image, name)
 
 
 def patch_of(options: Options, surface: Surface, size: tuple[int, int], progress: Reporter) -> Patch:

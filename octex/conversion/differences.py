@@ -95,7 +95,7 @@ class Reference(NamedTuple):
         return cls(field, ErrorColumns.of(forms), samples.depth, *samples[2:6], values)
 
 
-class Scratch(NamedTuple):
+class ComparisonScratch(NamedTuple):
     """Scratch arrays of the tests, and the windows of the cell tested last."""
 
     walks: tuple[Walk, Walk]  # of both fields
@@ -108,9 +108,9 @@ class Scratch(NamedTuple):
 
 
 @part
-def _new_scratch(components: int) -> Scratch:
+def _new_scratch(components: int) -> ComparisonScratch:
     vectors = (components + 4) // 4
-    return Scratch(
+    return ComparisonScratch(
         (new_walk(), new_walk()),
         Windows(
             np.zeros((4 * vectors * LEVELS * PLACES, 4), np.float32),
@@ -140,7 +140,7 @@ def values_at_samples(reference: Reference, cells: Int64s) -> Float32s:
 
 
 @step
-def _write_values(reference: Reference, cells: Int64s, scratch: Scratch, values: Float32s) -> None:
+def _write_values(reference: Reference, cells: Int64s, scratch: ComparisonScratch, values: Float32s) -> None:
     field, start = reference.field, reference.firsts[cells[0]]
     for cell in cells:
         level = _enter(field, reference, scratch, cell)
@@ -180,7 +180,7 @@ def _find_near(
     nodes: tuple[Int64s, Int64s, Int64s],
     first_node: int,
     candidates: Int64s,
-    scratch: Scratch,
+    scratch: ComparisonScratch,
     near: Bools,
 ) -> None:
     firsts, children, child_firsts = nodes
@@ -231,7 +231,7 @@ def _test_cells(
     ends: Int64s,
     is_patch: bool,
     cells: Int64s,
-    scratch: Scratch,
+    scratch: ComparisonScratch,
     far: Bools,
 ) -> None:
     end = 0
@@ -249,7 +249,7 @@ def _test_cells(
 
 @inlined
 def _is_near_at_samples(
-    field: Coefficients, reference: Reference, scratch: Scratch, cell: int, most: float
+    field: Coefficients, reference: Reference, scratch: ComparisonScratch, cell: int, most: float
 ) -> bool:
     """Say whether a field is near the full tree's at the samples of a finest cell."""
     level = _enter(field, reference, scratch, cell)
@@ -260,7 +260,9 @@ def _is_near_at_samples(
 
 
 @inlined
-def _are_near_at(scratch: Scratch, reference: Reference, cell: int, count: int, most: float) -> bool:
+def _are_near_at(
+    scratch: ComparisonScratch, reference: Reference, cell: int, count: int, most: float
+) -> bool:
     """Say whether the first field's values at a cell's samples are near the full tree's."""
     first, values = reference.firsts[cell], scratch.values
     for point in range(-(-count // 8) * 8):
@@ -271,7 +273,7 @@ def _are_near_at(scratch: Scratch, reference: Reference, cell: int, count: int, 
 
 
 @inlined
-def _enter(field: Coefficients, reference: Reference, scratch: Scratch, cell: int) -> int:
+def _enter(field: Coefficients, reference: Reference, scratch: ComparisonScratch, cell: int) -> int:
     """Go to a finest cell in the first field, and return the level of its window."""
     i, j, k = decode_cell(reference.codes[cell])
     shift = MAX_DEPTH - reference.depth
@@ -280,7 +282,7 @@ def _enter(field: Coefficients, reference: Reference, scratch: Scratch, cell: in
 
 @inlined
 def _look_up_samples(
-    field: Coefficients, reference: Reference, scratch: Scratch, level: int, side: int, cell: int
+    field: Coefficients, reference: Reference, scratch: ComparisonScratch, level: int, side: int, cell: int
 ) -> int:
     """Write a field's values at the samples of the finest cell entered, and return their number."""
     i, j, k = decode_cell(reference.codes[cell])
@@ -306,7 +308,11 @@ def _fill(points: Float32s, count: int) -> None:
 
 @inlined
 def _is_far_all_over(
-    fields: tuple[Coefficients, Coefficients], reference: Reference, scratch: Scratch, cell: int, most: float
+    fields: tuple[Coefficients, Coefficients],
+    reference: Reference,
+    scratch: ComparisonScratch,
+    cell: int,
+    most: float,
 ) -> bool:
     walks, windows, columns = scratch.walks, scratch.windows, reference.columns
     i, j, k = decode_cell(reference.codes[cell])
@@ -348,7 +354,7 @@ def _is_far_all_over(
 
 @inlined
 def _look_up(
-    field: Coefficients, scratch: Scratch, which: int, level: int, cell: Cell, side: int, count: int
+    field: Coefficients, scratch: ComparisonScratch, which: int, level: int, cell: Cell, side: int, count: int
 ) -> None:
     """Write a field's values at points of a finest cell."""
     i, j, k, depth = cell
@@ -376,7 +382,7 @@ def _look_up(
 
 @inlined
 def _are_near(
-    scratch: Scratch, columns: ErrorColumns, count: int, most: float, between: float, is_patch: bool
+    scratch: ComparisonScratch, columns: ErrorColumns, count: int, most: float, between: float, is_patch: bool
 ) -> bool:
     """Say whether the values of both fields are near at points; or all over a patch, see `lay_out`.
 

@@ -25,13 +25,13 @@ from octex.arrays import Array, Bools, Float32s, Floats, Int32s, Int64s, Uint64s
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion import large
 from octex.conversion.evaluator import NO_KEPT, SPLIT_KIND, is_refined, kind_of
-from octex.conversion.lookups import CubeLookups, Heads, Leaves, members_of, numbered
+from octex.conversion.lookups import CubeLookups, FittedLeaves, Heads, members_of, numbered
 from octex.conversion.prune import Channels
 from octex.conversion.samples import SHARE_STEPS, UNIT, Samples, nearest_facings, sample_points
 from octex.conversion.solve import (
     NO_ROUNDING,
-    Codes,
     Equations,
+    Rounding,
     approach,
     covered,
     diagonal,
@@ -73,7 +73,7 @@ _BLOCK = 1 << 16
 _RUN, _COARSER = 1 << 17, 2
 
 
-class Group(NamedTuple):
+class ComponentGroup(NamedTuple):
     """Up to three components that are solved together."""
 
     columns: slice
@@ -93,21 +93,21 @@ class Group(NamedTuple):
         return 0.0, largest if is_bright else 1.0
 
 
-class Job(NamedTuple):
+class FitJob(NamedTuple):
     """The input that all bricks share."""
 
     field: Field
     channels: list[Channel]  # those of the samples
     samples: Samples
-    leaves: Leaves
+    leaves: FittedLeaves
     heads: Heads | None  # if the leaves are all finest cells
     unfitted: Collection[str]  # channels whose means stay
     is_facing: bool  # whether lookups use the samples' normals
-    groups: list[Group]
+    groups: list[ComponentGroup]
     ranges: list[tuple[float, float]]  # of each group
 
 
-class Lookups(NamedTuple):
+class SampleLookups(NamedTuple):
     """The samples of a brick and its halo, and the field's taps there."""
 
     samples: Int64s  # (n,)
@@ -129,7 +129,7 @@ class Lookups(NamedTuple):
         """List the lookups by unknown."""
         return transpose(self.starts, self.leaves, self.weights, self.unknowns)
 
-    def covered(self, coverage: Float32s) -> Lookups:
+    def covered(self, coverage: Float32s) -> SampleLookups:
         """Return the same lookups with cells (m,) weighted by coverage."""
         return self._replace(weights=covered(self.starts, self.leaves, self.weights, coverage))
 
@@ -153,16 +153,16 @@ class Fitter(NamedTuple):
         The leaves' values in ``channels``, those of the samples, are means. With ``chosen`` (leaves,), in
         Morton order, only these leaves are fitted, to the samples in them.
         """
-        leaves = Leaves.of(tree, self.samples)
+        leaves = FittedLeaves.of(tree, self.samples)
         if chosen is not None:
             leaves = leaves.chosen(chosen, tree.n_cells)
         return self._fitted(tree, channels, leaves, is_facing=False)
 
-    def fit_rows(self, tree: Octree, channels: Channels, rows: Leaves) -> Channels:
+    def fit_rows(self, tree: Octree, channels: Channels, rows: FittedLeaves) -> Channels:
         """Return channels whose ``rows`` of split leaves fit lookups with normals to the samples in them."""
         return self._fitted(tree, channels, rows, is_facing=True)
 
-    def _fitted(self, tree: Octree, channels: Channels, leaves: Leaves, *, is_facing: bool) -> Channels:
+    def _fitted(self, tree: Octree, channels: Channels, leaves: FittedLeaves, *, is_facing: bool) -> Channels:
         samples, field, heads = self.samples, Field(tree), None
         if is_facing:
             field.facings  # noqa: B018 (built before threads share it)
@@ -171,7 +171,7 @@ class Fitter(NamedTuple):
         known = [channels[form.name] for form in samples.channels]
         groups = _groups(samples.channels)
         ranges = [group.range(samples) for group in groups]
-        job = Job(field, known, samples, leaves, heads, self.unfitted, is_facing, groups, ranges)
+        job = FitJob(field, known, samples, leaves, heads, self.unfitted, is_facing, groups, ranges)
         counts = leaves.ends - leaves.firsts
         size = min(max(int(counts.sum()) // _BRICKS, _LEAST_SAMPLES), BRICK_SAMPLES)
         bricks = list(pairwise(_cuts(counts, size, LEAF_SAMPLES).tolist()))
@@ -207,9 +207,9 @@ def _cuts(counts: Int64s, brick: int, most: int) -> Int64s:
     return cuts[:n_cuts].copy()
 
 
-def _groups(channels: Sequence[ChannelFormat]) -> list[Group]:
+def _groups(channels: Sequence[ChannelFormat]) -> list[ComponentGroup]:
     """Group components with equal weights; alpha first, since lookups of the others depend on it."""
-    groups: list[Group] = []
+    groups: list[ComponentGroup] = []
     end = 0
     for form in channels:
         first, end = end, end + form.components
@@ -223,13 +223,13 @@ def _groups(channels: Sequence[ChannelFormat]) -> list[Group]:
         )
         if is_alike:
             form, first = groups[-1].format, groups.pop().columns.start
-        groups += (Group(slice(i, min(i + 3, end)), form) for i in range(first, end, 3))
+        groups += (ComponentGroup(slice(i, min(i + 3, end)), form) for i in range(first, end, 3))
     return sorted(groups, key=lambda group: group.format.name != "alpha")
 
 
-def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
+def _fit_brick(job: FitJob, brick: tuple[int, int]) -> list[Array]:
     """Fit a run of leaves; return their stored values, by channel."""
-    lookups: Lookups | CubeLookups
+    lookups: SampleLookups | CubeLookups
     if job.heads is None:
         lookups = _look_up(job, *brick)
     else:
@@ -257,7 +257,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
             sums, is_flat = diagonal(equations, rows, wanted)
             sums[is_fixed] = 0.0
             is_rounded = group.format.dtype == "uint8"
-            to_codes = Codes.of_bytes(group.format.space) if is_rounded else NO_ROUNDING
+            to_codes = Rounding.of_bytes(group.format.space) if is_rounded else NO_ROUNDING
             for turn in range(SWEEPS):
                 codes = to_codes if turn >= FREE_SWEEPS else NO_ROUNDING
                 sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, fitted)
@@ -275,7 +275,7 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
     ]
 
 
-def _look_up(job: Job, first: int, end: int) -> Lookups:
+def _look_up(job: FitJob, first: int, end: int) -> SampleLookups:
     """Look the field up at the samples of leaves ``first`` … ``end`` − 1, and of one ring around them."""
     leaves, others = job.leaves, np.empty(0, np.int64)
     ring = leaves.with_samples(np.arange(first, end))
@@ -297,7 +297,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     starts, rows, weights = joined([taps for *_, taps in parts])
     numbers = numbered(rows, leaves.ranks_of(rows), first, end, others)
     cells = np.append(leaves.numbers(first, end), others)
-    return Lookups(members, strides, starts, numbers, weights, cells, unknowns)
+    return SampleLookups(members, strides, starts, numbers, weights, cells, unknowns)
 
 
 def _is_even(rows: Float32s) -> bool:
@@ -332,7 +332,7 @@ def with_sides(fitter: Fitter, tree: Octree, means: Channels, values: Channels) 
     ``means`` and the fitted ``values`` differ only in leaves, which keep the fitted values.
     """
     samples = fitter.samples
-    leaves = Leaves.of(tree, samples)
+    leaves = FittedLeaves.of(tree, samples)
     with sharing(fitter.executor) as threads:
         chosen = _facing_apart(tree, leaves, samples, threads)
     if not chosen.any():
@@ -348,7 +348,7 @@ def with_sides(fitter: Fitter, tree: Octree, means: Channels, values: Channels) 
     return adapted.tree, adapted.channels
 
 
-def _facing_apart(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor) -> Bools:
+def _facing_apart(tree: Octree, leaves: FittedLeaves, samples: Samples, executor: Executor) -> Bools:
     """Say which leaves, in order, weigh in lookups that a normal changes."""
     field, depth, count = Field(tree), samples.depth, len(leaves.firsts)
     owners = np.repeat(tree.split.cells, bit_counts(tree.split.facings)).astype(np.int64)

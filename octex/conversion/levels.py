@@ -78,7 +78,7 @@ class LevelCells(NamedTuple):
     split_values: list[Array]
 
 
-class Part(NamedTuple):
+class ConvertedRun(NamedTuple):
     """A converted run of blocks."""
 
     codes: Int64s  # of the leaves
@@ -118,7 +118,7 @@ class Filled(NamedTuple):
     has_gaps: bool
 
 
-class Job(NamedTuple):
+class VoxelJob(NamedTuple):
     """The input that all tasks share."""
 
     name: str  # of the surface
@@ -181,7 +181,7 @@ def cell_levels(
         if each is not None:
             each.prepare()
     cell = placement.size / 2**depth
-    job = Job(
+    job = VoxelJob(
         surface.name, source, channels, columns, blocks, cell, has_samples, has_gaps, coverage, wanted
     )  # fmt: skip
     runs = even_runs(most_fragments(blocks))
@@ -249,7 +249,7 @@ def _check_count(count: float, room: float, name: str, depth: int) -> None:
         )
 
 
-def _counted(parts: Iterable[Part], room: float, name: str, depth: int) -> Iterator[Part]:
+def _counted(parts: Iterable[ConvertedRun], room: float, name: str, depth: int) -> Iterator[ConvertedRun]:
     """Yield parts; raise ArgumentError as soon as they have more leaves than there is ``room`` for."""
     count = 0
     for part in parts:
@@ -258,7 +258,7 @@ def _counted(parts: Iterable[Part], room: float, name: str, depth: int) -> Itera
         yield part
 
 
-def _gathered(parts: Iterable[Part]) -> list[Part]:
+def _gathered(parts: Iterable[ConvertedRun]) -> list[ConvertedRun]:
     """Return all parts; parts in files are joined, since each keeps its file open."""
     if not large.is_mapped():
         return list(parts)
@@ -280,7 +280,7 @@ def _end_to_end(parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) 
     return each if isinstance(first, list) else type(first)(*each)
 
 
-def _convert_run(job: Job, run: BlockRange) -> Part:
+def _convert_run(job: VoxelJob, run: BlockRange) -> ConvertedRun:
     """Convert a run of blocks."""
     source, alpha = job.source, job.columns.alpha
     fragments = cut(job.blocks, run)
@@ -319,7 +319,7 @@ def _convert_run(job: Job, run: BlockRange) -> Part:
     samples = None
     if job.has_samples and source is not None:
         samples = take_samples(source, job.blocks, fragments, widths, values, job.cell, job.channels, alpha)
-    return Part(codes, gaps, levels, top, samples, wanted)
+    return ConvertedRun(codes, gaps, levels, top, samples, wanted)
 
 
 def _fragments_in(fragments: Fragments, cells: Bools) -> tuple[Fragments, Bools]:

@@ -32,7 +32,7 @@ _POSITIONS = _CENTRE + _CELLS @ [1, _SIDE, _SIDE**2]
 _SIDES = sum((_CELLS[:, bit >> 1] == (bit & 1) * 7) << bit for bit in range(6))
 
 
-class Leaves(NamedTuple):
+class FittedLeaves(NamedTuple):
     """The leaves of a tree, of any levels, in Morton order, as samples are; or the rows of split leaves."""
 
     cells: Int64s  # (leaves,)   cell numbers; empty if they are consecutive, from `offset` on
@@ -43,7 +43,7 @@ class Leaves(NamedTuple):
     heads: Int64s  # (rows,)   of rows of leaves: the rank of their leaf's first row, which has the samples
 
     @classmethod
-    def of(cls, tree: Octree, samples: Samples) -> Leaves:
+    def of(cls, tree: Octree, samples: Samples) -> FittedLeaves:
         """Put the leaves of a tree in order: the samples' finest cells, or cells above them."""
         none = np.empty(0, np.int64)
         if tree.max_depth == samples.depth and tree.n_leaves == len(samples.codes):
@@ -63,14 +63,14 @@ class Leaves(NamedTuple):
         firsts = samples.firsts[np.searchsorted(samples.codes, finest[order])]
         return cls(in_order, ranks, 0, firsts, np.append(firsts[1:], samples.firsts[-1]), none)
 
-    def chosen(self, chosen: Bools, n_cells: int) -> Leaves:
+    def chosen(self, chosen: Bools, n_cells: int) -> FittedLeaves:
         """Put only chosen leaves (leaves,) in order."""
         cells = self.numbers_of(chosen)
         ranks = np.full(n_cells, -1, np.int64)
         ranks[cells] = np.arange(cells.size)
-        return Leaves(cells, ranks, 0, self.firsts[chosen], self.ends[chosen], self.heads)
+        return FittedLeaves(cells, ranks, 0, self.firsts[chosen], self.ends[chosen], self.heads)
 
-    def rows_of(self, tree: Octree, chosen: Bools) -> Leaves:
+    def rows_of(self, tree: Octree, chosen: Bools) -> FittedLeaves:
         """Put the rows of chosen split leaves (leaves,) in order, numbered after all cells, by table."""
         cells = self.numbers_of(chosen)
         counts = bit_counts(tree.split.facings).astype(np.int64)
@@ -84,7 +84,7 @@ class Leaves(NamedTuple):
         firsts = np.repeat(self.firsts[chosen], counts)
         ends = firsts.copy()
         ends[heads] = self.ends[chosen]
-        return Leaves(rows, ranks, 0, firsts, ends, np.repeat(heads, counts))
+        return FittedLeaves(rows, ranks, 0, firsts, ends, np.repeat(heads, counts))
 
     def numbers(self, first: int, end: int) -> Int64s:
         """Return the cell numbers of the leaves of ranks ``first`` to ``end`` − 1."""
@@ -170,7 +170,7 @@ class CubeLookups(NamedTuple):
     coverage: Float32s  # (m,)   the cells' weights
 
     @classmethod
-    def of(cls, samples: Samples, heads: Heads, leaves: Leaves, first: int, end: int) -> CubeLookups:
+    def of(cls, samples: Samples, heads: Heads, leaves: FittedLeaves, first: int, end: int) -> CubeLookups:
         """Find the cells around leaves ``first`` … ``end`` − 1, which are finest cells."""
         brick = np.arange(first, end)
         inner = _cubes(samples, heads, brick)

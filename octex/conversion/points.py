@@ -19,7 +19,7 @@ from octex.errors import ArgumentError, ModelError
 from octex.nearest.boxes import order_of
 from octex.parallel import Progress
 from octex.source.cloud import PointCloud
-from octex.source.voxels import Values, Voxels
+from octex.source.voxels import Voxels, VoxelValues
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import Dtypes, formats_as
 from octex.tree.areas import area_codes
@@ -166,7 +166,7 @@ def convert_voxels(
     return texture
 
 
-def _encoded(values: Values, form: ChannelFormat) -> Array:
+def _encoded(values: VoxelValues, form: ChannelFormat) -> Array:
     if values.form == form and values.rows.dtype == form.dtype:
         return values.rows
     is_coded = values.rows.dtype.kind == "u"

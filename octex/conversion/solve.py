@@ -42,7 +42,7 @@ class Equations(NamedTuple):
     weights: Float32s
 
 
-class Codes(NamedTuple):
+class Rounding(NamedTuple):
     """The stored numbers that the last sweeps round to."""
 
     values: Float32s  # (256,)   decoded, rising; none: values are not rounded
@@ -51,7 +51,7 @@ class Codes(NamedTuple):
 
     @classmethod
     @cache
-    def of_bytes(cls, space: ColorSpace) -> Codes:
+    def of_bytes(cls, space: ColorSpace) -> Rounding:
         """Return the values of 8 bits in a colour space."""
         values = decode_table("uint8", space)
         middles = np.append((values[:-1] + values[1:]) / 2, np.inf).astype(np.float32)
@@ -60,7 +60,7 @@ class Codes(NamedTuple):
 
 
 #: Leaves values as they are.
-NO_ROUNDING = Codes(np.empty(0, np.float32), np.empty(0, np.float32), np.empty(0, np.uint8))
+NO_ROUNDING = Rounding(np.empty(0, np.float32), np.empty(0, np.float32), np.empty(0, np.uint8))
 
 
 @kernel
@@ -255,7 +255,7 @@ def approach(equations: Equations, rows: Float32s, values: Float32s) -> None:
 
 @inlined
 def _rounded(
-    value: np.float32, mean: np.float32, codes: Codes, scale: np.float32, is_flat: bool
+    value: np.float32, mean: np.float32, codes: Rounding, scale: np.float32, is_flat: bool
 ) -> np.float32:
     values = codes.values
     guess = int(codes.guesses[int((value - values[0]) * scale)])
@@ -275,7 +275,7 @@ def sweep(
     components: int,
     low: float,
     high: float,
-    codes: Codes,
+    codes: Rounding,
     is_backward: int,
     values: Float32s,
 ) -> None:

@@ -78,24 +78,24 @@ class Differences(dict[str, Difference]):
     uncovered: tuple[float | None, float | None]
 
 
-class Points(NamedTuple):
+class ComparedPoints(NamedTuple):
     """Points of a surface."""
 
     rest: Float64s  # (n, 3)   rest positions
     triangles: Int32s | None = None  # (n,)   triangles of the model, if there is one
     barycentric: Float64s | None = None  # (n, 3)
 
-    def only(self, chosen: Bools) -> Points:
+    def only(self, chosen: Bools) -> ComparedPoints:
         """Return the points that a mask selects."""
-        return Points(*(None if array is None else array[chosen] for array in self))  # type: ignore[arg-type]
+        return ComparedPoints(*(None if array is None else array[chosen] for array in self))  # type: ignore[arg-type]
 
 
 #: A batch: the side that it samples (0 or 1), its points, the area that each represents (n,), and whether the
 #: other side has a surface there (n,).
-_Visit = tuple[int, Points, Float64s, Bools]
+_Visit = tuple[int, ComparedPoints, Float64s, Bools]
 Side = OctreeTexture | Surface
 #: Returns values (n, components) of points by channel, in their units of comparison.
-Reader = Callable[[Points], dict[str, Float64s]]
+Reader = Callable[[ComparedPoints], dict[str, Float64s]]
 
 
 def difference(
@@ -143,8 +143,8 @@ def difference(
     total = points if models else sum(texture.tree.n_leaves for texture in textures)
     batches = _model_visits(sides, models[0], points, seed) if models else _leaf_visits(textures)
 
-    sums = {name: _Sums(MEASURES[space]) for name, space in spaces.items()}
-    angles = {name: _Sums(_ANGLE) for name, space in spaces.items() if space == "direction"}
+    sums = {name: _DifferenceSums(MEASURES[space]) for name, space in spaces.items()}
+    angles = {name: _DifferenceSums(_ANGLE) for name, space in spaces.items() if space == "direction"}
     areas, uncovered = np.zeros(2), np.zeros(2)
     done = compared = 0
     report("compare", 0, total)
@@ -200,7 +200,7 @@ def reader_of(side: Side, spaces: dict[str, ColorSpace], fades: bool, width: flo
     if isinstance(side, Surface):
         side = side.with_channels(names)
 
-    def read(points: Points) -> dict[str, Float64s]:
+    def read(points: ComparedPoints) -> dict[str, Float64s]:
         values: Mapping[str, Float32s]
         if isinstance(side, OctreeTexture):
             footprint = width if width > cell_of(side) else None  # no lookup is sharper
@@ -284,7 +284,7 @@ def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int)
         block_seed = int(np.random.SeedSequence([seed, first]).generate_state(1, np.uint64)[0])
         samples = surface.scatter(min(_BLOCK, points - first), block_seed)
         covered = lies_on(samples.rest)
-        on_model = Points(samples.rest, samples.triangles, samples.barycentric)
+        on_model = ComparedPoints(samples.rest, samples.triangles, samples.barycentric)
         yield number, on_model, np.ones(len(samples.rest)), covered
 
 
@@ -292,7 +292,7 @@ def _leaf_visits(textures: Sequence[OctreeTexture]) -> Iterator[_Visit]:
     for number in (0, 1):
         lies_on = inside_cells(textures[1 - number])
         for centres, edges, areas in _leaves(textures[number]):
-            yield number, Points(centres), areas, lies_on(centres, edges)
+            yield number, ComparedPoints(centres), areas, lies_on(centres, edges)
 
 
 def _leaves(texture: OctreeTexture) -> Iterator[tuple[Float64s, Float64s, Float64s]]:
@@ -340,7 +340,7 @@ def degrees_between(a: Floats, b: Floats) -> Float64s:
     return np.asarray(np.degrees(np.arctan2(across, (a * b).sum(axis=1))))
 
 
-class _Sums:
+class _DifferenceSums:
     """Accumulates the differences of a channel."""
 
     def __init__(self, measure: str) -> None:

@@ -11,9 +11,9 @@ from octex.arrays import Bools, Float32s, Float64s, Uint8s
 from octex.channels import srgb_to_linear
 from octex.drawing.compare import (
     PEAKS,
+    ComparedPoints,
     Difference,
     Differences,
-    Points,
     Side,
     degrees_between,
     in_common,
@@ -24,7 +24,7 @@ from octex.drawing.compare import (
 from octex.drawing.directions import DEFAULT_VIEW, Viewpoint, leaf_camera, surface_camera
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.panels import caption_height, captioned, named, source_caption, texture_facts
-from octex.drawing.rasters import Film, Leaves, film_leaves, film_surface, visible_level
+from octex.drawing.rasters import DrawnLeaves, Film, film_leaves, film_surface, visible_level
 from octex.drawing.shaders import Appearance, Shader, source_shader, texture_shader
 from octex.drawing.soft_light import background
 from octex.source.surface import Surface
@@ -128,7 +128,9 @@ def _difference_shader(
     sides: tuple[Side, Side], channel: str, differences: Differences, covers: Callable[..., Bools]
 ) -> Shader:
     appearance_of = _difference_of(sides, channel, differences)
-    return lambda hits: appearance_of(Points(hits.rest, hits.triangles, hits.barycentric), covers(hits.rest))
+    return lambda hits: appearance_of(
+        ComparedPoints(hits.rest, hits.triangles, hits.barycentric), covers(hits.rest)
+    )
 
 
 def _drawn_leaves(
@@ -138,7 +140,7 @@ def _drawn_leaves(
     originals = [side for side in sides if isinstance(side, OctreeTexture)]
     camera = leaf_camera(originals, next(iter(differences)), *panel)
     a, b = (texture.level(visible_level(texture, camera, pixels=0.5)) for texture in originals)
-    textures, pair = (a, b), (Leaves.of(a), Leaves.of(b))
+    textures, pair = (a, b), (DrawnLeaves.of(a), DrawnLeaves.of(b))
     # Draw the difference on the finer texture's leaves, and on the other's where the finer has none.
     order = (0, 1) if pair[0].edges.min() <= pair[1].edges.min() else (1, 0)
     fine, coarse = (pair[n] for n in order)
@@ -146,14 +148,16 @@ def _drawn_leaves(
     is_alone = ~meets_fine(coarse.centres, coarse.edges)
     added = coarse.only(is_alone)
     covered = np.append(meets_coarse(fine.centres, fine.edges), np.zeros(len(added.edges), np.bool_))
-    differing = Leaves.joined(fine, added)
+    differing = DrawnLeaves.joined(fine, added)
     leaf_sets = *pair, differing
     z_buffers = [leaves.seen(camera.scaled(supersample)) for leaves in leaf_sets]
     for channel, result in differences.items():
         appearances = [
             leaves.appearance(texture, channel) for leaves, texture in zip(pair, textures, strict=True)
         ]
-        appearances.append(_difference_of(textures, channel, differences)(Points(differing.centres), covered))
+        appearances.append(
+            _difference_of(textures, channel, differences)(ComparedPoints(differing.centres), covered)
+        )
         *films, film = (
             film_leaves(leaves, appearance, buffers, camera, supersample)
             for leaves, appearance, buffers in zip(leaf_sets, appearances, z_buffers, strict=True)
@@ -169,12 +173,12 @@ def _drawn_leaves(
 
 def _difference_of(
     sides: tuple[Side, Side], channel: str, differences: Differences
-) -> Callable[[Points, Bools], Appearance]:
+) -> Callable[[ComparedPoints, Bools], Appearance]:
     """Return a function that encodes the difference as emitted red, surface of one side only as green."""
     spaces, readers = readers_of(sides, [channel], differences.width or 0.0, differences.filter)
     is_direction = spaces[channel] == "direction"
 
-    def appearance(points: Points, covered: Bools) -> Appearance:
+    def appearance(points: ComparedPoints, covered: Bools) -> Appearance:
         a, b = (read(points)[channel] for read in readers)
         amounts = degrees_between(a, b) if is_direction else np.abs(b - a).max(axis=1)
         emitted = np.zeros((len(amounts), 3))

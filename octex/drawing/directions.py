@@ -15,7 +15,7 @@ from octex.cameras.files import Frame
 from octex.channels import linear_to_srgb
 from octex.checks import as_positive
 from octex.drawing.hits import rest_normals, visible_hits
-from octex.drawing.rasters import Leaves
+from octex.drawing.rasters import DrawnLeaves
 from octex.drawing.shaders import Shader, source_shader, texture_shader
 from octex.errors import ArgumentError
 from octex.tree.octree import distinct
@@ -168,7 +168,7 @@ def leaf_camera(
     """Return a camera that sees textures, by default from the side where the first has most detail."""
     # Coarse cells suffice to find the bounds and the best side.
     coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
-    sets = [Leaves.of(texture) for texture in coarse]
+    sets = [DrawnLeaves.of(texture) for texture in coarse]
     first, colors = sets[0], sets[0].appearance(coarse[0], channel).unlit()
 
     def unlit(camera: Camera) -> Floats:

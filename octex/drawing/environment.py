@@ -40,7 +40,7 @@ _STUDIO_WIDTH = 256
 _LONGEST = 1e150
 
 
-class Tables(NamedTuple):
+class LightTables(NamedTuple):
     """An environment in the form that kernels read."""
 
     light: Float32s  # (texels, 3)   all tables, one after the other, row by row from the top
@@ -55,7 +55,7 @@ class Environment:
     is ``tone_mapped``, renderings compress light brighter than white; otherwise they clip it.
     """
 
-    def __init__(self, tables: Tables, *, follows: bool = False, tone_mapped: bool = False) -> None:
+    def __init__(self, tables: LightTables, *, follows: bool = False, tone_mapped: bool = False) -> None:
         self.tables = tables
         self.follows = follows
         self.tone_mapped = tone_mapped
@@ -104,7 +104,7 @@ class Environment:
         brighter = tables._replace(light=tables.light * np.float32(2.0**stops))
         return cls(brighter, follows=True, tone_mapped=True)
 
-    def seen_by(self, camera: Camera) -> Tables:
+    def seen_by(self, camera: Camera) -> LightTables:
         """Return the tables with the axes that hold for this camera."""
         if not isinstance(camera, Camera):
             raise ArgumentError(f"camera must be an octex.Camera, not {camera!r}")
@@ -161,7 +161,7 @@ def _resampled(light: Float32s) -> Float64s:
 
 
 @cache
-def _studio() -> Tables:
+def _studio() -> LightTables:
     """Return the tables of the built-in room; +z is toward the camera, x to its right, y up."""
     directions = _directions(_STUDIO_WIDTH // 2, _STUDIO_WIDTH)
     up = directions[..., 1]
@@ -198,7 +198,7 @@ def _directions(height: int, width: int) -> Float64s:
     return np.stack([rim * np.sin(longitude), up, rim * np.cos(longitude)], axis=-1)
 
 
-def _tables(light: Float64s, axes: Float64s) -> Tables:
+def _tables(light: Float64s, axes: Float64s) -> LightTables:
     """Return the tables, one a roughness and one of irradiance, of an image whose sides are powers of two."""
     pyramid, levels = _pyramid(light)
     sizes = [light.shape[:2], *((max(width // 2, 1), width) for width in _WIDTHS)]
@@ -211,7 +211,7 @@ def _tables(light: Float64s, axes: Float64s) -> Tables:
         tables.append(texels)
     firsts = np.cumsum([0, *(len(table) for table in tables[:-1])])
     shapes = np.column_stack([firsts, np.array(sizes)]).astype(np.int64)
-    return Tables(np.concatenate(tables).astype(np.float32), shapes, axes)
+    return LightTables(np.concatenate(tables).astype(np.float32), shapes, axes)
 
 
 def _pyramid(light: Float64s) -> tuple[Float64s, Int64s]:
@@ -287,7 +287,7 @@ def _gather(pyramid: Float64s, levels: Int64s, directions: Float64s, alpha: floa
 
 
 @kernel
-def _read_all(tables: Tables, directions: Float64s, level: float, out: Float64s) -> None:
+def _read_all(tables: LightTables, directions: Float64s, level: float, out: Float64s) -> None:
     for n in range(len(directions)):
         x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
         if level < 0.0:
@@ -299,7 +299,7 @@ def _read_all(tables: Tables, directions: Float64s, level: float, out: Float64s)
 
 @inlined
 def glossy_light(
-    tables: Tables, roughness: float, x: float, y: float, z: float
+    tables: LightTables, roughness: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
     """Return prefiltered light around a unit direction for a roughness."""
     level = roughness * _STEPS
@@ -313,13 +313,13 @@ def glossy_light(
 
 
 @inlined
-def matte_light(tables: Tables, x: float, y: float, z: float) -> tuple[float, float, float]:
+def matte_light(tables: LightTables, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return irradiance over π for a unit normal: the light that a white matte surface reflects."""
     return _texel(tables, _STEPS + 1, x, y, z)
 
 
 @inlined
-def _texel(tables: Tables, table: int, x: float, y: float, z: float) -> tuple[float, float, float]:
+def _texel(tables: LightTables, table: int, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return a table's light in a direction, interpolated between four texels."""
     axes, light = tables.axes, tables.light
     right = axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z

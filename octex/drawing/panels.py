@@ -15,7 +15,7 @@ from octex.checks import as_path, as_text
 from octex.drawing.directions import DEFAULT_VIEW, Viewpoint, as_viewpoint, leaf_camera, surface_camera
 from octex.drawing.environment import Environment, as_light
 from octex.drawing.rasters import as_image_size, as_supersample, film_surface, render_leaves, visible_level
-from octex.drawing.shaders import Bump, Shown, as_bump, source_shader, texture_shader
+from octex.drawing.shaders import Bump, ShownChannels, as_bump, source_shader, texture_shader
 from octex.drawing.soft_light import background
 from octex.errors import ArgumentError
 from octex.files import bytes_text, count_text, replacing
@@ -85,7 +85,7 @@ def draw_preview(
         placed = surface if texture is None else surface.placed_on(texture)
         names = [form.name for form in placed.channels]
         shared = [form for form in placed.channels if texture is None or form.name in texture.channels]
-        channel, materials = Shown.of(shared, channel).channel.name, light is not None
+        channel, materials = ShownChannels.of(shared, channel).channel.name, light is not None
         # Next to a texture that has the channel of the bump, a model without it is drawn without the bump.
         model_bump = None if texture is not None and bump is not None and bump[0] not in names else bump
         shaders = [source_shader(placed, channel, materials=materials, bump=model_bump)]
@@ -98,7 +98,7 @@ def draw_preview(
         films = film_surface(placed, camera, shaders, supersample, light)
         images = [film.image() for film in films]
     elif texture is not None:
-        channel = Shown.of((each.format for each in texture.channels.values()), channel).channel.name
+        channel = ShownChannels.of((each.format for each in texture.channels.values()), channel).channel.name
         camera = leaf_camera([texture], channel, (size[0] // 2, size[1]), room, view)
         level = visible_level(texture, camera, pixels=10.0)
         draw = partial(render_leaves, texture, camera, supersample=supersample, channel=channel, light=light)

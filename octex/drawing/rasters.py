@@ -12,7 +12,7 @@ from octex.cameras.camera import Camera, as_size
 from octex.checks import as_whole
 from octex.drawing.hits import CameraView, Hits
 from octex.drawing.reflection import reflected, tone_mapped
-from octex.drawing.shaders import Appearance, Bump, Shader, Shown, field_slopes
+from octex.drawing.shaders import Appearance, Bump, Shader, ShownChannels, field_slopes
 from octex.drawing.soft_light import background
 from octex.drawing.soft_light import light as soft_light
 from octex.errors import ArgumentError
@@ -197,7 +197,7 @@ def _expose(
         is_translucent[n] = remaining > _OPAQUE
 
 
-class Leaves(NamedTuple):
+class DrawnLeaves(NamedTuple):
     """All leaves of a texture, in rest units."""
 
     corners: Float64s  # (n, 3)   smallest coordinates
@@ -205,7 +205,7 @@ class Leaves(NamedTuple):
     normals: Float32s  # (n, 3)
 
     @classmethod
-    def of(cls, texture: OctreeTexture) -> Leaves:
+    def of(cls, texture: OctreeTexture) -> DrawnLeaves:
         """Return a texture's leaves; raises ArgumentError if it has none."""
         blocks = []
         for cells, codes, depths in walk_leaves(texture.tree.arrays):
@@ -218,13 +218,13 @@ class Leaves(NamedTuple):
         return cls.joined(*blocks)
 
     @classmethod
-    def joined(cls, *parts: Leaves) -> Leaves:
+    def joined(cls, *parts: DrawnLeaves) -> DrawnLeaves:
         """Return the leaves of several sets as one."""
         return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
-    def only(self, chosen: Bools) -> Leaves:
+    def only(self, chosen: Bools) -> DrawnLeaves:
         """Return the leaves that a mask selects."""
-        return Leaves(self.corners[chosen], self.edges[chosen], self.normals[chosen])
+        return DrawnLeaves(self.corners[chosen], self.edges[chosen], self.normals[chosen])
 
     def seen(self, camera: Camera) -> CubeBuffers:
         """Return the z-buffer of the leaves' cubes."""
@@ -245,7 +245,7 @@ class Leaves(NamedTuple):
     ) -> Appearance:
         """Return a texture's appearance at the leaf centres; see ``texture_shader``."""
         formats = (channel_data.format for channel_data in texture.channels.values())
-        shown = Shown.of(formats, channel, materials=materials)
+        shown = ShownChannels.of(formats, channel, materials=materials)
         appearance = shown.appearance(texture.sample(self.centres, shown.names, filter=filter))
         if bump is None:
             return appearance
@@ -271,7 +271,7 @@ def render_leaves(
     ``channel`` and ``bump`` as for ``texture_shader``, ``light`` as for ``render_surface``.
     """
     texture = texture.level(visible_level(texture, camera) if level is None else level)
-    leaves = Leaves.of(texture)
+    leaves = DrawnLeaves.of(texture)
     filter = "nearest" if cubes else "quadratic"
     appearance = leaves.appearance(texture, channel, light is not None, bump, filter)
     if cubes:
@@ -281,7 +281,7 @@ def render_leaves(
 
 
 def film_leaves(
-    leaves: Leaves,
+    leaves: DrawnLeaves,
     appearance: Appearance,
     buffers: CubeBuffers,
     camera: Camera,

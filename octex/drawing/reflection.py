@@ -14,7 +14,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats
 from octex.cameras.camera import Camera
-from octex.drawing.environment import Environment, Tables, glossy_light, matte_light
+from octex.drawing.environment import Environment, LightTables, glossy_light, matte_light
 from octex.drawing.shaders import Appearance
 from octex.jit import inlined, kernel
 from octex.source.vectors import unit
@@ -119,7 +119,7 @@ def _reflectance(table: Float64s, cosine: float, roughness: float) -> tuple[floa
 
 @kernel
 def _reflect(
-    tables: Tables, table: Float64s, points: Float64s, faces: Float64s, normals: Float64s,
+    tables: LightTables, table: Float64s, points: Float64s, faces: Float64s, normals: Float64s,
     materials: Float64s, eye: Float64s, perspective: bool, lit: Float32s,
 ) -> None:  # fmt: skip
     for n in range(len(points)):

@@ -72,7 +72,7 @@ def as_bump(bump: Bump | None) -> Bump | None:
     return as_text(pair[0], "bump's channel"), rise
 
 
-class Shown(NamedTuple):
+class ShownChannels(NamedTuple):
     """The channels of a texture or a surface that an image shows."""
 
     channel: ChannelFormat  # the channel that names the image
@@ -81,7 +81,7 @@ class Shown(NamedTuple):
     @classmethod
     def of(
         cls, formats: Iterable[ChannelFormat], channel: str | None = None, *, materials: bool = False
-    ) -> Shown:
+    ) -> ShownChannels:
         """Choose ``channel``, by default base colour, else the first colour, the first data or direction.
 
         Alpha is read too; with base colour also emitted light and, for ``materials``, the other material
@@ -145,7 +145,7 @@ def source_shader(
 
     Raises ArgumentError for an unknown channel.
     """
-    shown = Shown.of(surface.channels, channel, materials=materials)
+    shown = ShownChannels.of(surface.channels, channel, materials=materials)
     unreduced, surface = surface, surface.with_channels(shown.names)
     height = None if bump is None else unreduced.with_channels([_bumping(bump, unreduced.channels)])
 
@@ -179,7 +179,7 @@ def texture_shader(
     unknown channel.
     """
     formats = [stored.format for stored in texture.channels.values()]
-    shown = Shown.of(formats, channel, materials=materials)
+    shown = ShownChannels.of(formats, channel, materials=materials)
     lies_on = inside_cells(texture) if ALPHA.name in shown.names else None
     if bump is not None:
         _bumping(bump, formats)

@@ -36,7 +36,7 @@ STEPS = 3
 _MOST = 0.5
 
 
-class Tiles(NamedTuple):
+class OpenTiles(NamedTuple):
     """The open tiles of a draft."""
 
     level: int
@@ -49,7 +49,7 @@ class Change(NamedTuple):
     Both drafts are textures, small if the edit was.
     """
 
-    tiles: Tiles | None  # None: the whole texture
+    tiles: OpenTiles | None  # None: the whole texture
     before: OctreeTexture
     after: OctreeTexture
 
@@ -103,7 +103,7 @@ def as_change(change: Change) -> Change:
     return change
 
 
-def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s], coarsest: int) -> Tiles | None:
+def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s], coarsest: int) -> OpenTiles | None:
     """Return the tiles for an edit of cells, listed by level; None if they are most of the texture.
 
     ``coarsest`` is the result of `coarsest_near` for these cells.
@@ -114,11 +114,11 @@ def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s], coarsest: int)
     edited = np.concatenate([cells >> 3 * (at - level) for at, cells in enumerate(codes) if cells.size])
     edited = distinct(edited)
     around = np.concatenate([with_boundary(edited, level), brightest_tiles(texture, level)])
-    tiles = Tiles(level, distinct(around))
+    tiles = OpenTiles(level, distinct(around))
     return tiles if _is_small(tree, tiles) else None
 
 
-def change_in(tiles: Tiles, before: OctreeTexture, after: OctreeTexture) -> Change:
+def change_in(tiles: OpenTiles, before: OctreeTexture, after: OctreeTexture) -> Change:
     """Return the change between two textures that differ only in tiles and above them."""
     if not _is_small(before.tree, tiles):
         return Change(None, before, after)
@@ -135,7 +135,7 @@ def joined_change(changes: Sequence[Change], before: OctreeTexture, after: Octre
     level = min(each.level for each in tiles)
     parents = distinct(np.concatenate([each.codes >> 3 * (each.level - level + 1) for each in tiles]))
     siblings = (parents[:, None] << 3 | np.arange(8)).ravel()  # a closed node is a leaf to its parent
-    return change_in(Tiles(level, siblings), before, after)
+    return change_in(OpenTiles(level, siblings), before, after)
 
 
 def change_of_values(before: OctreeTexture, after: OctreeTexture) -> Change | None:
@@ -163,7 +163,7 @@ def change_of_values(before: OctreeTexture, after: OctreeTexture) -> Change | No
         if at > level
     ]
     siblings = distinct(np.concatenate(parents))[:, None] << 3 | np.arange(8)  # see `joined_change`
-    return change_in(Tiles(level, siblings.ravel()), before, after)
+    return change_in(OpenTiles(level, siblings.ravel()), before, after)
 
 
 def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
@@ -214,13 +214,13 @@ def coarsest_near(tree: Octree, codes: Sequence[Int64s]) -> int:
     return largest
 
 
-def _is_small(tree: Octree, tiles: Tiles) -> bool:
+def _is_small(tree: Octree, tiles: OpenTiles) -> bool:
     """Return whether a draft has few cells compared with the tree."""
     count = int(tree.arrays.level_cells[tiles.level + 1]) + int(cells_in(tree, tiles).sum())
     return count <= _MOST * tree.n_cells
 
 
-def cells_in(tree: Octree, tiles: Tiles) -> Int64s:
+def cells_in(tree: Octree, tiles: OpenTiles) -> Int64s:
     """Count the cells below tiles (n,)."""
     located = locate(tree, tiles.codes, tiles.level)
     is_inner = (located.levels == tiles.level) & ~located.is_leaf
@@ -233,7 +233,7 @@ def cells_in(tree: Octree, tiles: Tiles) -> Int64s:
     return counts
 
 
-def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
+def cut_out(texture: OctreeTexture, tiles: OpenTiles) -> OctreeTexture:
     """Return the draft of open tiles."""
     tree = texture.tree
     codes, is_node, numbers = np.zeros(1, np.int64), np.full(1, tree.n_nodes > 0), np.zeros(1, np.int64)
@@ -265,7 +265,7 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     return draft.with_cells(tree, channels)
 
 
-def _opened(tiles: Tiles) -> list[Int64s]:
+def _opened(tiles: OpenTiles) -> list[Int64s]:
     """Return the codes of the cells that stay nodes in a draft, from the root down to the tiles."""
     above = [tiles.codes >> 3 * (tiles.level - level) for level in range(1, tiles.level)]
     around = [with_boundary(distinct(codes), level) for level, codes in enumerate(above, 1)]
@@ -280,14 +280,14 @@ def _child_codes(tree: Octree, numbers: Int64s, codes: Int64s) -> tuple[Int64s, 
     return (codes[:, None] << 3 | np.arange(8))[stored], nodes[stored] != 0
 
 
-def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> OctreeTexture:
+def put_back(texture: OctreeTexture, tiles: OpenTiles, draft: OctreeTexture) -> OctreeTexture:
     """Return a texture with an edited draft's cells in the open tiles and above them."""
     if ALPHA.name in draft.channels and ALPHA.name not in texture.channels:
         texture = with_alpha(texture)
     return put_together(draft, texture, [(tiles, draft)])
 
 
-def numbers_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Int64s:
+def numbers_in(texture: OctreeTexture, tiles: OpenTiles, draft: OctreeTexture) -> Int64s:
     """Return each draft cell's number in the texture; −1 for closed ones."""
     tree = texture.tree
     numbers = np.full(draft.tree.n_cells, -1, np.int64)
@@ -306,7 +306,7 @@ def numbers_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> In
 
 def _overwritten(
     texture: OctreeTexture,
-    tiles: Tiles,
+    tiles: OpenTiles,
     before: OctreeTexture,
     after: OctreeTexture,
     shared: OctreeTexture | None,
@@ -365,7 +365,7 @@ def _write(whole: Uint8s, rows: Uint8s, numbers: Int64s) -> None:
 
 
 def put_together(
-    top: OctreeTexture, texture: OctreeTexture, drafts: Sequence[tuple[Tiles, OctreeTexture]]
+    top: OctreeTexture, texture: OctreeTexture, drafts: Sequence[tuple[OpenTiles, OctreeTexture]]
 ) -> OctreeTexture:
     """Return a texture with the cells of ``top`` above the tiles' level, and cells of others from there on.
 

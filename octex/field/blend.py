@@ -144,7 +144,7 @@ def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, grad
                 gradients[n, component, axis] = slopes[component][axis] * factor
 
 
-class Sums(NamedTuple):
+class ProbeSums(NamedTuple):
     """Sums over the probes at several levels, by the point that owns the probes."""
 
     values: Float64s  # (points, components)
@@ -154,10 +154,10 @@ class Sums(NamedTuple):
 
 
 @kernel
-def new_sums(points: int, answers: Float32s, gradient: bool) -> Sums:
+def new_sums(points: int, answers: Float32s, gradient: bool) -> ProbeSums:
     """Return zeros for the components of ``answers``."""
     n, components = points if gradient else 0, answers.shape[1]
-    return Sums(
+    return ProbeSums(
         np.zeros((points, components), np.float64),
         np.zeros(points, np.float64),
         np.zeros((n, components, 3), np.float64),
@@ -166,7 +166,7 @@ def new_sums(points: int, answers: Float32s, gradient: bool) -> Sums:
 
 
 @inlined
-def _add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components: int) -> None:
+def _add_to(sums: ProbeSums, owner: np.uint64, factor: float, five: Five, components: int) -> None:
     """Add a sum times a factor to those of a point."""
     sums.values[owner, 0] += factor * five[0]
     if components > 1:
@@ -186,7 +186,7 @@ def add_up(
     owners: Int32s,
     shares: Float32s,
     share_slopes: Float32s,
-    sums: Sums,
+    sums: ProbeSums,
 ) -> None:
     """Add the blends of probes, times their shares, to the sums of their owners.
 
@@ -222,7 +222,7 @@ def add_weighed(
     owners: Int32s,
     shares: Float32s,
     passed: Float32s,
-    sums: Sums,
+    sums: ProbeSums,
 ) -> None:
     """Weigh and add up at once: `weights.weigh_taps`, then `add_up`, for taps that are cells.
 
@@ -255,7 +255,7 @@ def add_weighed(
 
 
 @kernel
-def divide(sums: Sums, scale: float, results: Float32s, gradients: Float32s) -> None:
+def divide(sums: ProbeSums, scale: float, results: Float32s, gradients: Float32s) -> None:
     """Write sums divided by their weights, and the derivatives of that times ``scale``."""
     for n in range(sums.totals.size):
         inverse = 1.0 / sums.totals[n] if sums.totals[n] != 0.0 else 0.0

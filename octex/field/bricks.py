@@ -41,7 +41,7 @@ _CELLS = _AT_FLAT + 600
 _SIDES = 0, 3, 4, 6
 
 
-class Values(NamedTuple):
+class BrickValues(NamedTuple):
     """A channel to decode, and the alpha that weights it, empty for none."""
 
     codes: Flat
@@ -89,7 +89,7 @@ def new_bricks() -> Bricks:
 
 @inlined
 def _covered_value(
-    values: Values, row: int
+    values: BrickValues, row: int
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
     """Return the components of a row times its alpha, and its alpha."""
     a, b, c, d = value_of(values.codes, row, values.components)
@@ -106,7 +106,9 @@ def _covered_value(
 
 
 @inlined
-def _write_value(values: Values, bricks: Bricks, at: int, row: int, planes: int, weight: np.float32) -> None:
+def _write_value(
+    values: BrickValues, bricks: Bricks, at: int, row: int, planes: int, weight: np.float32
+) -> None:
     """Write the coefficient of a row times a weight, or zeros for row −1."""
     rows, one = bricks.rows, np.uint64(1)
     a = b = c = d = covered = np.float32(0.0)
@@ -265,7 +267,7 @@ def _clear(bricks: Bricks, planes: int, step: int, side: int, target: int) -> No
 
 @inlined
 def _decode(
-    values: Values,
+    values: BrickValues,
     bricks: Bricks,
     planes: int,
     step: int,
@@ -300,7 +302,7 @@ def _decode(
 
 
 @inlined
-def _enter(way: Way, values: Values, bricks: Bricks, planes: int) -> None:
+def _enter(way: Way, values: BrickValues, bricks: Bricks, planes: int) -> None:
     """Write the root's block: the root is the second cell along each axis; the others are empty."""
     middle, row = 1 + 4 * (1 + 4), 0
     if way.arrays.groups.shape[0] > 0:
@@ -344,7 +346,9 @@ def _write_mean(
 
 
 @inlined
-def _look_up_by_walk(values: Values, way: Way, taps: Taps, targets: Targets, n: int, n_missed: int) -> int:
+def _look_up_by_walk(
+    values: BrickValues, way: Way, taps: Taps, targets: Targets, n: int, n_missed: int
+) -> int:
     """Look a point up by the walk (`walk_taps`); return the number missed."""
     x, y, z = targets.coords[n, 0], targets.coords[n, 1], targets.coords[n, 2]
     end, _ = taps_around(way, x, y, z, True, taps, 0)
@@ -412,7 +416,7 @@ def look_up_crowded(
     Missed points lie off the surface, or nearly, or where alpha is zero. ``bricks`` are new.
     """
     ends, split, keys = bricks.ends, bricks.split, targets.keys
-    values = Values(flat_of(codes), flat_of(alpha), codes.values.shape[1])
+    values = BrickValues(flat_of(codes), flat_of(alpha), codes.values.shape[1])
     planes, few = 1, _FEW_KEPT if kept_cells.size > 0 else _FEW
     if values.components > 3 or (values.alpha.values.size > 0 and kept_cells.size > 0):
         planes = 2

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
-from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
+from octex.field.blend import ProbeSums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.bricks import NUMBER_BITS, SORTED, Targets, look_up_crowded, new_bricks
 from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError, positions
 from octex.field.footprints import Footprints, Probes, passed_on, spread
@@ -28,7 +28,7 @@ _ROUNDED = np.float32(1e-6)
 _NO_GRADIENTS = np.empty((0, 1, 3), np.float32)
 NO_ADDITIONS = Additions(
     *(np.empty(0, np.int32), NO_PASSED[0], NO_PASSED[0]),
-    Sums(np.empty((0, 1)), np.empty(0), np.empty((0, 1, 3)), np.empty((0, 3))),
+    ProbeSums(np.empty((0, 1)), np.empty(0), np.empty((0, 1, 3)), np.empty((0, 3))),
 )
 #: Result of `look_up_tiled` where tiles find all points.
 _ALL_FOUND = 0, 0, -1
@@ -303,7 +303,7 @@ class Lookup:
                 self._look_again(points, rows, numbers, None, Lookup.look_up_footprints)
 
     def each_probe(
-        self, run: slice, by_level: dict[int, Probes], sums: Sums | None = None
+        self, run: slice, by_level: dict[int, Probes], sums: ProbeSums | None = None
     ) -> Iterator[tuple[int, Probes, Taps]]:
         """Yield the probes of a run, level by level and block after block, and their weighted taps.
 

@@ -145,16 +145,16 @@ def linear_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) 
     return end, n_empty, n_rim
 
 
-class Tables(NamedTuple):
+class WindowTables(NamedTuple):
     """Tables of a window by the parities of the lowest cell read: x | y << 1 | z << 2."""
 
     masks: Uint64s  # (8 · words,)   which cells; bit child & 63 of word child >> 6, child = 8 · node + octant
-    #: (2 · 8 · children,) where in `Group.along` a child's weight along x is for the first point of a group,
-    #: and that along y and z
+    #: (2 · 8 · children,) where in `PointGroup.along` a child's weight along x is for the first point of a
+    #: group, and that along y and z
     places: Uint16s
 
 
-def _tables(side: int) -> Tables:
+def _tables(side: int) -> WindowTables:
     """Return the tables of a spline over ``side``³ cells, in the children of (side // 2 + 1)³ nodes."""
     reach = side // 2
     width, children = 2 * reach + 1, 8 * (reach + 1) ** 3
@@ -162,13 +162,13 @@ def _tables(side: int) -> Tables:
     x, y, z = place % width, place // width % width, place // width**2
     along = (GROUP * np.stack([x, side + side * y + z], axis=-1)).astype(np.uint16)
     words = INSIDE[reach - 1, :, : -(-children // 64)]
-    return Tables(words.ravel().copy(), along.ravel())  # numba compiles no strides
+    return WindowTables(words.ravel().copy(), along.ravel())  # numba compiles no strides
 
 
 _QUADRATIC, _QUARTIC = _tables(3), _tables(5)
 
 
-class Group(NamedTuple):
+class PointGroup(NamedTuple):
     """A group of points in their tiles, and the latest window."""
 
     around: TilesAround
@@ -184,11 +184,11 @@ class Group(NamedTuple):
 
 
 @part
-def new_group(gradient: bool) -> Group:
+def new_group(gradient: bool) -> PointGroup:
     """Return an empty group for one tree and one spline."""
     latest = np.empty(2, np.int64)
     latest[0] = latest[1] = -1
-    return Group(
+    return PointGroup(
         new_tiles_around(),
         np.zeros(GROUP, np.uint8),
         np.zeros(GROUP, np.uint8),
@@ -202,7 +202,7 @@ def new_group(gradient: bool) -> Group:
 
 @by_constants
 @inlined
-def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, side: int) -> None:
+def _find_place(group: PointGroup, n: int, i: np.int32, j: np.int32, k: np.int32, side: int) -> None:
     """Find the tile and the window with lowest cell (i, j, k)."""
     one, two, three, four = np.int32(1), np.int32(2), np.int32(3), np.int32(4)
     reach = np.int32(side // 2)
@@ -234,7 +234,14 @@ def _put_products(to: Float32s, at: np.uint64, factor: Any, left: Any, right: An
 @by_constants
 @inlined
 def _place(
-    coords: Float64s, begin: int, count: int, depth: int, group: Group, weights: Any, slopes: Any, side: int
+    coords: Float64s,
+    begin: int,
+    count: int,
+    depth: int,
+    group: PointGroup,
+    weights: Any,
+    slopes: Any,
+    side: int,
 ) -> None:
     """Find each point's tile, window, and weights and slopes along the axes: functions of its place."""
     cells, one, reach = float(1 << depth), np.float32(1.0), np.int32(side // 2)
@@ -255,7 +262,9 @@ def _place(
 
 
 @inlined
-def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, k: int, ahead: Ahead) -> None:
+def _add_node(
+    tiles: Tiles, group: PointGroup, slot: int, node: int, i: int, j: int, k: int, ahead: Ahead
+) -> None:
     """Add the children of a node at (i, j, k), 0 … 5 from the tile on, to the window's masks."""
     code = code_in_tile(2 * i, 2 * j, 2 * k)
     octant = np.uint64(group.around.octants[np.uint64(slot + (code >> 11))] + (code >> 8 & 7))
@@ -270,7 +279,7 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
 
 @by_constants
 @inlined
-def _find_window(tiles: Tiles, group: Group, n: int, side: int, ahead: Ahead) -> None:
+def _find_window(tiles: Tiles, group: PointGroup, n: int, side: int, ahead: Ahead) -> None:
     """Find the window of point n, unless it is the latest, and prefetch its cells' rows."""
     window, key = np.int64(group.windows[np.uint64(n)]), group.around.keys[np.uint64(n)]
     if (window == group.latest[0]) & (key == group.latest[1]):
@@ -290,7 +299,7 @@ def _find_window(tiles: Tiles, group: Group, n: int, side: int, ahead: Ahead) ->
 
 
 @inlined
-def _is_window_marked(tiles: Tiles, group: Group) -> bool:
+def _is_window_marked(tiles: Tiles, group: PointGroup) -> bool:
     """Return whether the first cell of the latest window, of 2×2×2 nodes, is marked."""
     mask = group.masks[0]
     return mask != np.uint64(0) and is_marked(tiles, int(group.firsts[trailing_zeros(mask) >> 3]))
@@ -299,10 +308,10 @@ def _is_window_marked(tiles: Tiles, group: Group) -> bool:
 @by_constants
 @inlined
 def _take_word(
-    group: Group,
+    group: PointGroup,
     n: int,
     word: int,
-    tables: Tables,
+    tables: WindowTables,
     side: int,
     last: int,
     taps: Taps,
@@ -345,8 +354,8 @@ def _spline_taps(
     batch: Batch,
     taps: Taps,
     end: int,
-    group: Group,
-    tables: Tables,
+    group: PointGroup,
+    tables: WindowTables,
     weights: Any,
     slopes: Any,
     side: int,

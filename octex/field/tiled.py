@@ -11,7 +11,16 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
-from octex.field.blend import Sums, add_weighed, blend, blend_slopes, divide, gather, new_sums, weigh_by_alpha
+from octex.field.blend import (
+    ProbeSums,
+    add_weighed,
+    blend,
+    blend_slopes,
+    divide,
+    gather,
+    new_sums,
+    weigh_by_alpha,
+)
 from octex.field.splines import LINEAR, NEAREST
 from octex.field.taps import (
     MOST_TILED,
@@ -57,7 +66,7 @@ class Additions(NamedTuple):
     owners: Int32s  # (n,)   the point of each probe
     shares: Float32s  # (n,)   factors of their sums
     passed: Float32s  # (n,) or (0,)   output: the part of each in mixed cells
-    sums: Sums  # of the owners
+    sums: ProbeSums  # of the owners
 
 
 @part
@@ -149,7 +158,7 @@ def look_up_tiled(
                 passed = additions.passed[at : at + count]
                 add_weighed(taps, weighing, step_normals[:count], channel.codes, owners, shares, passed, sums)
                 if is_faced:
-                    mean = Sums(sums.values[:count], sums.totals[:count], sums.slopes, sums.total_slopes)
+                    mean = ProbeSums(sums.values[:count], sums.totals[:count], sums.slopes, sums.total_slopes)
                     divide(mean, 1.0, results[begin:end], gradients[:0])
             else:
                 if faces:

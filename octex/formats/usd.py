@@ -60,7 +60,9 @@ def write(surface: Surface, target: Target) -> Written:
         Usd.ModelAPI(root).SetKind("component")
         UsdGeom.Scope.Define(stage, _MATERIALS)  # first: a mesh may have the same name
         mesh = _mesh(stage, surface, source)
-        writer = _Materials(stage, numbers, paths if is_package else [f"./{name}" for name in names], source)
+        writer = _MaterialWriter(
+            stage, numbers, paths if is_package else [f"./{name}" for name in names], source
+        )
         for number in used:
             faces = None if len(used) == 1 else np.flatnonzero(source.triangle_materials == number)
             writer.bind(mesh, writer.material(number), faces)
@@ -129,7 +131,7 @@ def _set_name(slot: int) -> str:
     return f"st{slot}" if slot else "st"
 
 
-class _Materials:
+class _MaterialWriter:
     """The materials of a stage, with their networks of shaders."""
 
     def __init__(self, stage: Any, numbers: dict[int, int], paths: list[str], source: MaterialSource) -> None:

@@ -13,7 +13,7 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ALPHA, ONE, ChannelFormat, decode, encode
 from octex.conversion.levels import assemble, cell_levels
 from octex.editing.averages import average
-from octex.editing.draft import Tiles
+from octex.editing.draft import OpenTiles
 from octex.editing.nodes import all_leaves, nodes_at
 from octex.editing.refined import Below, refined_below, refined_rows, refined_values, with_rows
 from octex.editing.runs import carried
@@ -131,7 +131,7 @@ def _fill_below(job: Job, layer: OctreeTexture, fill: Fill | Float32s, *, is_hid
     return nothing.with_cells(tree, channels)
 
 
-def _smooth(job: Job, layer: OctreeTexture, level: int, region: Tiles) -> SheetValues:
+def _smooth(job: Job, layer: OctreeTexture, level: int, region: OpenTiles) -> SheetValues:
     """Return the smooth values of the surface in cells of a level, within a region."""
     name = painted_channel(layer)
     form = layer.channels[name].format
@@ -146,7 +146,7 @@ def _smooth(job: Job, layer: OctreeTexture, level: int, region: Tiles) -> SheetV
     return SheetValues(form, sheets, values.astype(np.float32))
 
 
-def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Tiles]:
+def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, OpenTiles]:
     """Return the level of most of a layer's leaves, or a coarser one with few cells, and the open blocks."""
     level = int(np.argmax([leaves.size * 4.0**-level for level, leaves, _ in leaves_by_level(layer.tree)]))
     blocks = _open_blocks(layer, surface, max(level - _BLOCK, 0))
@@ -157,7 +157,7 @@ def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Tiles]:
     return level, blocks
 
 
-def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Tiles:
+def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> OpenTiles:
     """Return the cells of a level with surface that a layer leaves uncovered, and their neighbours."""
     blocks = divided(whole(on_grid(surface.rest, layer.placement), surface.triangles, above), 0)
     is_open = _shows_through(layer)
@@ -168,7 +168,7 @@ def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Tiles:
     for level, (level_codes, _) in enumerate(layer.tree.walk()):
         if level > above:
             codes.append(level_codes[is_open[firsts[level] : firsts[level + 1]]] >> 3 * (level - above))
-    return Tiles(above, with_boundary(distinct(np.concatenate(codes)), above))
+    return OpenTiles(above, with_boundary(distinct(np.concatenate(codes)), above))
 
 
 def _shows_through(layer: OctreeTexture) -> Bools:
@@ -243,7 +243,7 @@ def _coverage_at(layer: OctreeTexture, codes: Int64s, level: int) -> tuple[Int64
     return where.cells, coverage
 
 
-class Leaves(NamedTuple):
+class MissingLeaves(NamedTuple):
     """Leaves of one level that the layer lacks."""
 
     codes: Int64s  # (n,)   Morton codes, ascending
@@ -281,7 +281,7 @@ def _laid_over(job: Job, fill: OctreeTexture, layer: OctreeTexture) -> OctreeTex
     return texture
 
 
-def _united(task: Merge, lacking: Sequence[Leaves]) -> tuple[OctreeTexture, Bools]:
+def _united(task: Merge, lacking: Sequence[MissingLeaves]) -> tuple[OctreeTexture, Bools]:
     """Return the filled texture with the layer's leaves and those that it lacks, and the layer's cells."""
     layer, name = task.layer, task.target
     leaves = [
@@ -302,7 +302,11 @@ def _united(task: Merge, lacking: Sequence[Leaves]) -> tuple[OctreeTexture, Bool
 
 
 def _with_paint(
-    task: Merge, texture: OctreeTexture, is_painted: Bools, paint: Sequence[Paint], lacking: Sequence[Leaves]
+    task: Merge,
+    texture: OctreeTexture,
+    is_painted: Bools,
+    paint: Sequence[Paint],
+    lacking: Sequence[MissingLeaves],
 ) -> OctreeTexture:
     """Blend paint with the fill below it, and average the nodes above both."""
     name, tree = task.target, texture.tree
@@ -334,10 +338,10 @@ def _with_paint(
     return averaged(task, task.texture, raised, base, channels, parts, above, changed).texture
 
 
-def _lacking(task: Merge) -> list[Leaves]:
+def _lacking(task: Merge) -> list[MissingLeaves]:
     """Return the leaves that a layer lacks, by level: the fill's, or surface in them next to finer paint."""
     fill, layer, level = task.texture.tree, task.layer.tree, task.texture.tree.max_depth
-    none = Leaves(np.empty(0, np.int64), *np.empty((2, 0), np.uint8))
+    none = MissingLeaves(np.empty(0, np.int64), *np.empty((2, 0), np.uint8))
     lacking = [none] * (layer.max_depth + 1)
     codes = fill.level_codes(level)
     where = locate(layer, codes, level)
@@ -356,11 +360,11 @@ def _lacking(task: Merge) -> list[Leaves]:
     return lacking
 
 
-def _leaves_at(tree: Octree, level: int, chosen: Int64s) -> Leaves:
+def _leaves_at(tree: Octree, level: int, chosen: Int64s) -> MissingLeaves:
     """Return chosen cells of a level as leaves."""
     cells = chosen + int(tree.arrays.level_cells[level])
     flags = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
-    return Leaves(tree.level_codes(level)[chosen], flags, tree.arrays.areas[cells])
+    return MissingLeaves(tree.level_codes(level)[chosen], flags, tree.arrays.areas[cells])
 
 
 def _translucent(task: Merge) -> list[Paint]:

@@ -19,7 +19,7 @@ from octex.conversion import large
 from octex.editing.draft import (
     STEPS,
     Change,
-    Tiles,
+    OpenTiles,
     brightest_tiles,
     cells_in,
     change_in,
@@ -161,7 +161,7 @@ def _merge_at_once(task: Merge) -> Change | None:
 
 
 class _Piece(NamedTuple):
-    tiles: Tiles
+    tiles: OpenTiles
     whole: OctreeTexture  # the draft of the tiles
     top: OctreeTexture  # the tiles as leaves
     parts: OctreeTexture  # the painted parts of channels on these
@@ -178,7 +178,7 @@ def coarsest_near_layer(texture: OctreeTexture, layer: OctreeTexture) -> int:
     return coarsest_near(texture.tree, [codes[:0]] * largest + [codes])
 
 
-def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> list[Tiles] | None:
+def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> list[OpenTiles] | None:
     """Divide a layer for a texture; return the tiles of each piece, or None to merge it in one draft."""
     tree, painted, level = texture.tree, layer.tree, coarsest - STEPS
     whole = PIECE if large.is_mapped() else WHOLE
@@ -186,26 +186,26 @@ def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> li
         return None
     if not 0 < level < tree.max_depth:
         return None
-    tiles = Tiles(level, with_boundary(painted.level_codes(level), level))
+    tiles = OpenTiles(level, with_boundary(painted.level_codes(level), level))
     counts = cells_in(painted, tiles) + cells_in(tree, tiles)
     numbers = (np.cumsum(counts) - counts) // PIECE
     if counts.sum() <= whole:
         return None
-    pieces = [Tiles(level, tiles.codes[numbers == number]) for number in distinct(numbers)]
-    wider = (Tiles(level, with_boundary(each.codes, level)) for each in pieces)
+    pieces = [OpenTiles(level, tiles.codes[numbers == number]) for number in distinct(numbers)]
+    wider = (OpenTiles(level, with_boundary(each.codes, level)) for each in pieces)
     total = sum(int(cells_in(painted, each).sum() + cells_in(tree, each).sum()) for each in wider)
     return pieces if total <= MOST * counts.sum() else None
 
 
-def _merge_pieces(task: Merge, pieces: Sequence[Tiles]) -> Change | None:
+def _merge_pieces(task: Merge, pieces: Sequence[OpenTiles]) -> Change | None:
     """Merge a layer piece by piece."""
     texture, level = task.texture, pieces[0].level
     bright = brightest_tiles(texture, level)
 
-    def merge_piece(tiles: Tiles) -> _Piece | None:
+    def merge_piece(tiles: OpenTiles) -> _Piece | None:
         around = with_boundary(tiles.codes, level)
-        opened = Tiles(level, distinct(np.concatenate([with_boundary(around, level), bright])))
-        layer = cut_out(task.layer, Tiles(level, around))
+        opened = OpenTiles(level, distinct(np.concatenate([with_boundary(around, level), bright])))
+        layer = cut_out(task.layer, OpenTiles(level, around))
         paint = _inside(paint_of(layer, task.opacity), around, level)
         with workers(Run(threads=1)) as one_worker:
             job = task.job._replace(executor=one_worker, progress=silent)
@@ -239,7 +239,7 @@ def _merge_pieces(task: Merge, pieces: Sequence[Tiles]) -> Change | None:
         top = averaged_above(task, before, _top(before, task.layer, merged_pieces))
         drafts = [(each.tiles, each.whole) for each in merged_pieces]
         after = put_together(delete_paint(top), texture, drafts)
-    return change_in(Tiles(level, np.concatenate([each.codes for each in pieces])), texture, after)
+    return change_in(OpenTiles(level, np.concatenate([each.codes for each in pieces])), texture, after)
 
 
 def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:

@@ -31,7 +31,7 @@ class Graph(NamedTuple):
     weights: Float64s  # (rows,)   of the edges to them
 
 
-class _Level(NamedTuple):
+class _GraphLevel(NamedTuple):
     graph: Graph
     diagonal: Float64s  # (n,)
     above: Int64s  # (n,)   the node of the next coarser level that each is part of
@@ -76,7 +76,7 @@ def solve(graph: Graph, codes: Int64s, level: int, hold: Float64s, right: Float6
         rows = np.repeat(np.arange(hold.size), np.diff(level_graph.starts))
         diagonal = hold + added(rows, level_graph.weights, hold.size)
         above_graph, cells, above = coarser(level_graph, cells)
-        levels.append(_Level(level_graph, diagonal, above))
+        levels.append(_GraphLevel(level_graph, diagonal, above))
         if not level_graph.others.size:
             break  # no edges are left: each node is solved by itself
         level_graph, hold = above_graph, added(above, hold, cells.size)
@@ -120,7 +120,7 @@ def _products(first: Values, second: Values) -> Float64s:
     return products
 
 
-def _cycle(levels: list[_Level], number: int, right: Float64s) -> Float64s:
+def _cycle(levels: list[_GraphLevel], number: int, right: Float64s) -> Float64s:
     """Return an approximate solution of a level's equation."""
     graph, diagonal, above = levels[number]
     x = np.zeros_like(right)

@@ -13,7 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import Float64s, Int32s, Int64s, Uint8s, bit_counts
-from octex.editing.draft import Tiles
+from octex.editing.draft import OpenTiles
 from octex.jit import kernel
 from octex.painting.layer import blocks_meeting
 from octex.parallel import ordered_map
@@ -70,7 +70,7 @@ class Sheets(NamedTuple):
 
 
 def sheets_of(
-    surface: Surface, placement: Placement, level: int, executor: Executor, within: Tiles | None = None
+    surface: Surface, placement: Placement, level: int, executor: Executor, within: OpenTiles | None = None
 ) -> Sheets:
     """Cut a surface at rest into its sheets in cells of a level, or ``within`` tiles of no finer level."""
     grid, faces = on_grid(surface.rest, placement), surface.triangles
@@ -114,7 +114,7 @@ def sheets_of(
     )
 
 
-def _columns_of(blocks: Blocks, level: int, within: Tiles | None, run: BlockRange) -> Columns:
+def _columns_of(blocks: Blocks, level: int, within: OpenTiles | None, run: BlockRange) -> Columns:
     """Cut the surface in a run of blocks, within tiles if given."""
     pieces = cut(blocks, run)
     owners = np.repeat(np.arange(pieces.codes.size), bit_counts(pieces.flags))[pieces.entries]

@@ -36,7 +36,7 @@ Amount = float | OctreeTexture | Callable[[Float64s], npt.ArrayLike]
 _BLOCK, _MANY = 1 << 14, 1 << 20
 
 
-class Cells(NamedTuple):
+class UnionCells(NamedTuple):
     """The cells of a union."""
 
     codes: Int64s  # (cells,)
@@ -53,7 +53,7 @@ class Side:
     """One of the two textures, read by the union's cells; with ``refines`` also below its leaves."""
 
     def __init__(
-        self, texture: OctreeTexture, origins: Origins, cells: Cells, refines: bool, executor: Executor
+        self, texture: OctreeTexture, origins: Origins, cells: UnionCells, refines: bool, executor: Executor
     ) -> None:
         self.texture, self.origins, self._cells = texture, origins, cells
         self._below = np.flatnonzero(origins.cells < NOTHING) if refines else np.empty(0, np.int64)
@@ -143,7 +143,9 @@ class Mixing:
         arrays = self._tree.arrays
         self._nodes = node_cells(arrays)
         self._centres = Centres(self._tree, first.placement)
-        self._cells = Cells(self._centres.codes, arrays.flags & np.uint8(FACING_FLAGS), arrays.level_cells)
+        self._cells = UnionCells(
+            self._centres.codes, arrays.flags & np.uint8(FACING_FLAGS), arrays.level_cells
+        )
         # An amount of 0 or 1 needs no values below the unused texture's leaves.
         self._sides = [
             Side(texture, of_texture, self._cells, amount != unused, executor)

@@ -53,7 +53,7 @@ class Spot(NamedTuple):
     up: tuple[float, float, float]
 
 
-class Command(NamedTuple):
+class PageCommand(NamedTuple):
     """A command of a page; each page numbers its commands from 1."""
 
     page: str
@@ -72,7 +72,7 @@ def object_of(text: str | bytes, name: str) -> dict[str, Any]:
     raise ArgumentError(f"{name} must be a JSON object")
 
 
-def command_of(body: bytes) -> Command:
+def command_of(body: bytes) -> PageCommand:
     """Parse a line of JSON and the bytes after it. Raises ArgumentError for anything else."""
     line, _, content = body.partition(b"\n")
     fields = object_of(line, "the command's line")
@@ -84,7 +84,7 @@ def command_of(body: bytes) -> Command:
         raise ArgumentError(f"kind must be one of {', '.join(_READERS)}")
     if not isinstance(name, str) or len(name) > _LONGEST_NAME or not name.isprintable():
         raise ArgumentError(f"name must be a line of at most {_LONGEST_NAME} characters")
-    command = Command(page, number, kind, fields, content)
+    command = PageCommand(page, number, kind, fields, content)
     target_of(command)
     _READERS[kind](command)
     return command
@@ -98,7 +98,7 @@ class Where(NamedTuple):
     offset: float  # of the mirror from the model's middle
 
 
-def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], Where]:
+def stroke_of(command: PageCommand) -> tuple[Projection, dict[str, Any], Where]:
     """Return a stroke's image, its options of painting, and the connected part that limits it, if any."""
     fields = command.fields
     options = {
@@ -140,7 +140,7 @@ def _object_of(fields: dict[str, Any], name: str) -> dict[str, Any] | None:
     return record
 
 
-def fill_of(command: Command) -> tuple[dict[str, Any], Where, dict[str, Any] | None]:
+def fill_of(command: PageCommand) -> tuple[dict[str, Any], Where, dict[str, Any] | None]:
     """Return a fill's options, its point (None: everywhere), and its limits by colour, for `alike`.
 
     Without limits it fills the whole connected part.
@@ -158,7 +158,7 @@ def fill_of(command: Command) -> tuple[dict[str, Any], Where, dict[str, Any] | N
     return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, color_limits
 
 
-def channel_of(command: Command) -> str:
+def channel_of(command: PageCommand) -> str:
     """Return the name of the channel to add."""
     _no_content(command)
     name = command.fields.get("channel")
@@ -167,7 +167,7 @@ def channel_of(command: Command) -> str:
     return name
 
 
-def layer_of(command: Command) -> tuple[str, dict[str, Any]]:
+def layer_of(command: PageCommand) -> tuple[str, dict[str, Any]]:
     """Return an action of the painter's, and its arguments for the command's layer."""
     _no_content(command)
     fields, (layer, _) = command.fields, target_of(command)
@@ -188,25 +188,25 @@ def fields_of(layer: Layer) -> dict[str, Any]:
     return {"number": layer.number} | {name: getattr(layer, field) for name, field in _FIELDS.items()}
 
 
-def replaces_of(command: Command) -> bool:
+def replaces_of(command: PageCommand) -> bool:
     """Return whether to overwrite a file that another program has changed."""
     _no_content(command)
     return as_flag(command.fields.get("replace", False), "replace")
 
 
-def file_of(command: Command) -> str:
+def file_of(command: PageCommand) -> str:
     """Return which file to take: "output", the saved texture, or "opened", the opened one."""
     file: str = as_choice(command.fields.get("file", ""), ("output", "opened"), "file")
     return file
 
 
-def _no_content(command: Command) -> None:
+def _no_content(command: PageCommand) -> None:
     if command.content:
         raise ArgumentError(f"a command of the kind {command.kind} has no content")
 
 
 #: Parsers by kind of command; each raises ArgumentError for bad fields.
-_READERS: dict[str, Callable[[Command], Any]] = {
+_READERS: dict[str, Callable[[PageCommand], Any]] = {
     "stroke": stroke_of,
     "fill": fill_of,
     "layer": layer_of,
@@ -219,7 +219,7 @@ _READERS: dict[str, Callable[[Command], Any]] = {
 }
 
 
-def camera_of(command: Command) -> Camera:
+def camera_of(command: PageCommand) -> Camera:
     """Return the camera of the view that was painted on."""
     record = _object_of(command.fields, "camera")
     if record is None:
@@ -229,7 +229,7 @@ def camera_of(command: Command) -> Camera:
     return Camera.pinhole((width, height), pose=pose, convention="opencv", K=K)
 
 
-def image_of(command: Command, camera: Camera) -> Uint8s:
+def image_of(command: PageCommand, camera: Camera) -> Uint8s:
     """Return the image (height, width, 4) of a stroke, in sRGB.
 
     The content covers only its ``box`` and is deflated: coverage alone if the command has ``color`` or
@@ -259,7 +259,7 @@ def image_of(command: Command, camera: Camera) -> Uint8s:
     return image
 
 
-def where_of(command: Command) -> Where:
+def where_of(command: PageCommand) -> Where:
     """Return the point of a command, if any, and its mirror."""
     point = numbers(command.fields, "at", (3,)) if "at" in command.fields else None
     offset = as_number(command.fields.get("offset", 0.0), "offset", -_FARTHEST, _FARTHEST)
@@ -269,18 +269,18 @@ def where_of(command: Command) -> Where:
     return Where(point, "xyz".index(mirror) if mirror else None, offset)
 
 
-def opacity_of(command: Command) -> float:
+def opacity_of(command: PageCommand) -> float:
     """Return the opacity of paint; default 1."""
     return as_number(command.fields.get("opacity", 1.0), "opacity", 0.0, 1.0)
 
 
-def blend_of(command: Command) -> Blend:
+def blend_of(command: PageCommand) -> Blend:
     """Return the blend mode of paint, or "erase"."""
     blend = as_choice(command.fields.get("blend", "over"), _BLENDS, "blend")
     return "erase" if as_flag(command.fields.get("erases", False), "erases") else blend
 
 
-def target_of(command: Command) -> tuple[int | None, bool]:
+def target_of(command: PageCommand) -> tuple[int | None, bool]:
     """Return the number of the layer to paint, None for the texture itself, and whether to paint its mask."""
     layer, mask = command.fields.get("layer"), as_flag(command.fields.get("mask", False), "mask")
     if layer is not None:
@@ -290,7 +290,7 @@ def target_of(command: Command) -> tuple[int | None, bool]:
     return layer, mask
 
 
-def codes_of(command: Command) -> Uint8s:
+def codes_of(command: PageCommand) -> Uint8s:
     """Return a colour as a page has it, in 8-bit sRGB."""
     codes = numbers(command.fields, "color", (3,))
     if (codes < 0).any() or (codes > 255).any():
@@ -298,7 +298,7 @@ def codes_of(command: Command) -> Uint8s:
     return np.rint(codes).astype(np.uint8)
 
 
-def values_of(command: Command) -> dict[str, Array]:
+def values_of(command: PageCommand) -> dict[str, Array]:
     """Return the values to paint by channel; empty without a field ``values``."""
     values = command.fields.get("values", {})
     if not isinstance(values, dict) or len(values) > _MOST_CHANNELS:

@@ -25,7 +25,7 @@ from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.painting.image import Projection
 from octex.painting.paint import format_of
-from octex.session.commands import Command, channel_of, codes_of, values_of
+from octex.session.commands import PageCommand, channel_of, codes_of, values_of
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
 
@@ -60,7 +60,7 @@ class Value(NamedTuple):
 
 
 def images_of(
-    command: Command, projection: Projection, texture: OctreeTexture
+    command: PageCommand, projection: Projection, texture: OctreeTexture
 ) -> list[tuple[str, Projection]]:
     """Return the channels that a stroke paints, each with an image; raises ArgumentError as `paint_of`."""
     if not values_of(command):
@@ -68,7 +68,7 @@ def images_of(
     return [(value.form.name, value.imaged(projection)) for value in paint_of(command, texture)]
 
 
-def paint_of(command: Command, texture: OctreeTexture) -> list[Value]:
+def paint_of(command: PageCommand, texture: OctreeTexture) -> list[Value]:
     """Return a command's values for channels, including its colour, in the texture's order.
 
     Raises ArgumentError for channels that the texture lacks, and for values out of range.
@@ -103,7 +103,7 @@ def _is_color(form: ChannelFormat) -> bool:
     return form.components == 3 and form.space in ("srgb", "linear")
 
 
-def with_channel(command: Command, texture: OctreeTexture) -> OctreeTexture:
+def with_channel(command: PageCommand, texture: OctreeTexture) -> OctreeTexture:
     """Return a texture with the channel that a command adds; raise ArgumentError if it exists."""
     name = channel_of(command)
     form, value = ADDED[as_choice(name, ADDED, "channel to add")]

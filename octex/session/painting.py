@@ -28,7 +28,7 @@ from octex.painting.painter import Painter
 from octex.painting.region import alike
 from octex.painting.unwrap import Patch
 from octex.session.commands import (
-    Command,
+    PageCommand,
     Where,
     command_of,
     fields_of,
@@ -53,7 +53,7 @@ from octex.texture import OctreeTexture
 #: Largest number of waiting commands; a page queues further ones itself.
 _MOST_WAITING = 64
 #: Makes pages hear of changed files.
-_LOOK = Command("", 0, "look", {}, b"")
+_LOOK = PageCommand("", 0, "look", {}, b"")
 #: Largest number of pages whose last command number is remembered.
 _MOST_PAGES = 1000
 
@@ -110,7 +110,7 @@ class Session:
         self._surface = surface.placed_in(texture)
         self._poses = Poses(surface, motion)
         self.output = output
-        self._queue: queue.Queue[Command | None] = queue.Queue()
+        self._queue: queue.Queue[PageCommand | None] = queue.Queue()
         self._lock = threading.Lock()  # guards _numbers
         self._numbers: dict[str, int] = {}  # by page: the last command in the journal
         self._finished: dict[str, int] = {}  # by page: the last finished command
@@ -251,7 +251,7 @@ class Session:
         }
         return Shown(self._painter.texture(), status, self._before, self._changes, self._painter.stacked)
 
-    def _do(self, command: Command) -> None:
+    def _do(self, command: PageCommand) -> None:
         """Run a command; one that fails changes nothing, and sets the error."""
         self._error, self._notice, self._before, self._changes = "", "", self._painter.texture(), ()
         try:
@@ -267,7 +267,7 @@ class Session:
             self._undone.clear()
         self._finished[command.page] = command.number
 
-    def _do_stroke(self, command: Command) -> None:
+    def _do_stroke(self, command: PageCommand) -> None:
         projection, options, where = stroke_of(command)
         moment, spot = moment_of(command.fields), spot_of(command.fields)
         pose = self._poses.at(moment)
@@ -291,7 +291,7 @@ class Session:
                 strokes.append(self._painter.paint(each, pose=pose, channel=name, region=region, **options))
         self._did(command, strokes)
 
-    def _do_fill(self, command: Command) -> None:
+    def _do_fill(self, command: PageCommand) -> None:
         options, where, color_limits = fill_of(command)
         regions: list[Any] = [_everywhere]
         texture = self._painter.texture()
@@ -314,7 +314,7 @@ class Session:
         ]
         self._did(command, strokes)
 
-    def _do_channel(self, command: Command) -> None:
+    def _do_channel(self, command: PageCommand) -> None:
         texture = self._painter.texture()
         change = Change(None, texture, with_channel(command, texture))
         self._did(command, [self._painter.put(change)])
@@ -340,7 +340,7 @@ class Session:
     def _part_at(self, point: Array) -> int:
         return int(self._surface.parts[self._nearest.nearest(point[None]).triangles[0]])
 
-    def _did(self, command: Command, strokes: list[tuple[Change, ...]]) -> None:
+    def _did(self, command: PageCommand, strokes: list[tuple[Change, ...]]) -> None:
         self._changes = tuple(change for stroke in strokes for change in stroke)
         n_strokes = self._painter.count - sum(step.strokes for step in self._steps)
         if n_strokes:
@@ -348,17 +348,17 @@ class Session:
             self._steps.append(_Step(command.fields.get("name", command.kind), n_strokes, self._count))
             self._undone.clear()
 
-    def _do_layer(self, command: Command) -> None:
+    def _do_layer(self, command: PageCommand) -> None:
         action, arguments = layer_of(command)
         number, _ = target_of(command)
         act = getattr(self._painter, f"{action}_layer")
         act(*([] if action == "add" else [number]), **arguments)
         self._did(command, [self._painter.changes])
 
-    def _do_undo(self, command: Command) -> None:  # noqa: ARG002
+    def _do_undo(self, command: PageCommand) -> None:  # noqa: ARG002
         self._move(self._steps, self._undone, self._painter.undo)
 
-    def _do_redo(self, command: Command) -> None:  # noqa: ARG002
+    def _do_redo(self, command: PageCommand) -> None:  # noqa: ARG002
         self._move(self._undone, self._steps, self._painter.redo)
 
     def _move(self, source: list[_Step], target: list[_Step], act: Callable[[], Any]) -> None:
@@ -371,7 +371,7 @@ class Session:
             self._changes += self._painter.changes
         target.append(step)
 
-    def _do_save(self, command: Command) -> None:
+    def _do_save(self, command: PageCommand) -> None:
         paths = [self.output]
         if self._painter.layers or self._has_layers_file:
             paths.append(layers_file(self.output))
@@ -394,7 +394,7 @@ class Session:
         if asides:
             self._notice = f"The other version is kept as {' and '.join(path.name for path in asides)}."
 
-    def _do_take(self, command: Command) -> None:
+    def _do_take(self, command: PageCommand) -> None:
         path = self._files.get(file_of(command), self.output)
         try:
             texture = texture_of(command.content, path)
@@ -419,7 +419,7 @@ class Session:
         is_here = any(step.number == number for step in self._steps)
         return path == self.output and is_here and stamp_of(path) == stamp
 
-    def _do_keep(self, command: Command) -> None:  # noqa: ARG002
+    def _do_keep(self, command: PageCommand) -> None:  # noqa: ARG002
         if "opened" in self._files:
             self._watch.renew(self._files["opened"])
 

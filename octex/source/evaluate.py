@@ -18,7 +18,7 @@ from octex.source.vectors import Vector, between, cross_product, dot_product, ed
 OPAQUE, MASK, BLEND = 0, 1, 2
 
 
-class Tables(NamedTuple):
+class MaterialTables(NamedTuple):
     """Materials, and the attributes of triangles that they read.
 
     A *stack* is a set of images of one size that a material reads at the same coordinates with the same
@@ -75,7 +75,7 @@ def measure(
                 footprints[slot, triangle, 2] = vv / 12.0
 
 
-def texel_edges(tables: Tables, images: Images, footprints: Float64s) -> Float32s:
+def texel_edges(tables: MaterialTables, images: Images, footprints: Float64s) -> Float32s:
     """Return the root of the area of the finest image's texel (triangles,), in rest units, or infinity."""
     finest = np.zeros((len(footprints), tables.first_stacks.size - 1))
     for material in range(finest.shape[1]):
@@ -91,7 +91,7 @@ def texel_edges(tables: Tables, images: Images, footprints: Float64s) -> Float32
 
 @kernel
 def evaluate(
-    tables: Tables, images: Images, footprints: Float64s, filter: int | None, triangles: Int32s,
+    tables: MaterialTables, images: Images, footprints: Float64s, filter: int | None, triangles: Int32s,
     barycentric: Float64s, widths: Float32s, values: Float32s,
 ) -> None:  # fmt: skip
     """Fill in the values (n, columns) at points of triangles; ``filter`` is a `filters.kernel_code`."""
@@ -196,7 +196,13 @@ def evaluate(
 
 @inlined
 def _turn(
-    tables: Tables, triangle: int, shares: Vector, is_point: bool, values: Float32s, i: int, column: int
+    tables: MaterialTables,
+    triangle: int,
+    shares: Vector,
+    is_point: bool,
+    values: Float32s,
+    i: int,
+    column: int,
 ) -> None:
     """Transform a direction from tangent space to rest space; at a point, normalize it."""
     tangent, other, normal, hand = axes_at(tables.frames, triangle, shares)

@@ -15,7 +15,7 @@ from octex.jit import kernel
 from octex.parallel import built_once
 from octex.source.base import DEFAULTS, Source, in_order
 from octex.source.corners import Corners, Frames, stacked
-from octex.source.evaluate import Tables, evaluate, measure, texel_edges
+from octex.source.evaluate import MaterialTables, evaluate, measure, texel_edges
 from octex.source.images.decode import is_translucent
 from octex.source.images.filters import kernel_code, reads_mips
 from octex.source.images.pyramid import REPEAT, Images, ImageTexels, Texels, store
@@ -213,7 +213,7 @@ class MaterialSource(Source):
         return footprints, texel_edges(tables, images, footprints)
 
     @built_once
-    def _tables(self) -> tuple[Tables, Images]:
+    def _tables(self) -> tuple[MaterialTables, Images]:
         sizes = [form.components for form in self._channels]
         ends = np.cumsum([0, *sizes]).tolist()
         first_column = {form.name: end for form, end in zip(self._channels, ends, strict=False)}
@@ -246,7 +246,7 @@ class MaterialSource(Source):
         no_colors = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
         no_slot = Corners(np.empty((0, 2), np.float32), np.empty((len(self._triangles), 3), np.int32))
         coordinates, rows = stacked([no_slot, *self.coordinates])
-        tables = Tables(
+        tables = MaterialTables(
             materials=self.triangle_materials,
             first_stacks=np.array(stacks.first_rows, np.int32),
             stacks=np.array(rows_of_stacks, np.int32),
@@ -278,7 +278,7 @@ class MaterialSource(Source):
 
 
 class _Stacks:
-    """The stacks of images (see `Tables`) of all materials, and their images, without duplicates."""
+    """The stacks of images (see `MaterialTables`) of all materials, and their images, without duplicates."""
 
     def __init__(self) -> None:
         self._numbers: dict[tuple[object, ...], int] = {}

@@ -13,7 +13,7 @@ from octex.errors import ArgumentError, ModelError
 from octex.source.base import Forwarded, Source
 from octex.source.corners import Corners, Creases, Polygons, area_vectors
 from octex.source.mesh import Mesh, as_creases
-from octex.source.subdivision import SCHEMES, Level, Scheme, base_level, divided, limits
+from octex.source.subdivision import SCHEMES, CageLevel, Scheme, base_level, divided, limits
 from octex.source.surface import Surface
 from octex.source.welding import welded
 
@@ -97,7 +97,7 @@ def subdivide(
     return Surface._on(subdivided, source, {**mesh.provenance, "subdivided": record})
 
 
-def _triangles(level: Level, scheme: Scheme, cage: _Cage) -> tuple[Int64s, Int64s]:
+def _triangles(level: CageLevel, scheme: Scheme, cage: _Cage) -> tuple[Int64s, Int64s]:
     """Cut faces into triangles, each on one of the cage's triangles: their faces (m,), and corners (m, 3)."""
     corners = np.arange(len(level.corners)).reshape(len(level.sizes), -1)
     if scheme == "loop":
@@ -178,7 +178,7 @@ class _Cage:
         a, b, c = self._domain[self._at].transpose(1, 0, 2)
         self._origins, self._maps = a, np.linalg.inv(np.stack([b - a, c - a], axis=2))
 
-    def level(self, values: Float64s, creases: Creases | None) -> Level:
+    def level(self, values: Float64s, creases: Creases | None) -> CageLevel:
         """Return the first level, of values (n, k) at the mesh's vertices."""
         edges, points = np.empty((0, 2), np.int64), np.empty(0, np.int64)
         sharpness = spikes = np.empty(0)

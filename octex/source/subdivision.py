@@ -23,7 +23,7 @@ _SMOOTH, _CREASE, _CORNER = 0, 1, 2
 _ROUNDS = 64
 
 
-class Level(NamedTuple):
+class CageLevel(NamedTuple):
     """A control mesh: faces of v vertices, e edges and c corners, listed face after face."""
 
     values: Float64s  # (v, k)   positions, and other values that are subdivided like them
@@ -60,11 +60,11 @@ class Level(NamedTuple):
 def base_level(
     values: Float64s, corners: Int64s, sizes: Int64s, domain: Float64s,
     creases: tuple[Int64s, Float64s], spikes: tuple[Int64s, Float64s],
-) -> Level:  # fmt: skip
+) -> CageLevel:  # fmt: skip
     """Return the first level; ``creases`` are edges (k, 2), ``spikes`` vertices (j,), and their sharpness."""
     count, faces = len(values), np.arange(len(sizes))
     nothing = np.empty((0, 2), np.int64), np.empty(0)
-    level = Level(values, corners, sizes, corners, *nothing, np.zeros(count), domain, faces)
+    level = CageLevel(values, corners, sizes, corners, *nothing, np.zeros(count), domain, faces)
     keys, sides, uses = np.unique(
         _keys(corners, corners[level.following], count), return_inverse=True, return_counts=True
     )
@@ -86,7 +86,7 @@ def _keys(a: Int64s, b: Int64s, count: int) -> Int64s:
     return np.asarray(np.minimum(a, b) * count + np.maximum(a, b), np.int64)
 
 
-def _is_apart(level: Level, uses: Int64s) -> Bools:
+def _is_apart(level: CageLevel, uses: Int64s) -> Bools:
     """Say which vertices (v,) are corners: of a single face, or of faces that no edges join."""
     count = len(level.values)
     ends = level.edges.ravel()
@@ -98,7 +98,7 @@ def _is_apart(level: Level, uses: Int64s) -> Bools:
     return np.asarray(is_lone | odd | ((branches == 0) & (_fans(level, uses) > 1)))
 
 
-def _fans(level: Level, uses: Int64s) -> Int64s:
+def _fans(level: CageLevel, uses: Int64s) -> Int64s:
     """Return the number of fans of faces around each vertex (v,): edges of two faces join these."""
     count = len(level.values)
     sides = np.concatenate([level.sides, level.sides[level.preceding]])
@@ -111,7 +111,7 @@ def _fans(level: Level, uses: Int64s) -> Int64s:
     return np.bincount(level.corners[parents == np.arange(len(parents))], minlength=count)
 
 
-def divided(level: Level, scheme: Scheme) -> Level:
+def divided(level: CageLevel, scheme: Scheme) -> CageLevel:
     """Return the next level: its vertices are this level's, moved, then one an edge, one a face."""
     count, n_edges = len(level.values), len(level.edges)
     before, owners = level.preceding, level.owners
@@ -162,7 +162,7 @@ def divided(level: Level, scheme: Scheme) -> Level:
         child_domain = np.stack([domain, between, flat[owners], between[before]], axis=1)
         first_faces = level.faces[owners]
         second = np.stack([after, centre_points], axis=1)
-    return Level(
+    return CageLevel(
         np.concatenate([vertex_values, edge_values, centres]),
         child_corners.ravel(),
         np.full(len(child_corners), child_corners.shape[1]),
@@ -175,7 +175,7 @@ def divided(level: Level, scheme: Scheme) -> Level:
     )
 
 
-def limits(level: Level, scheme: Scheme, first: int | None = None, rounds: int = _ROUNDS) -> Float64s:
+def limits(level: CageLevel, scheme: Scheme, first: int | None = None, rounds: int = _ROUNDS) -> Float64s:
     """Return the limits of a level's ``first`` vertices (v, k); for Catmull–Clark all faces are quads."""
     values, count = level.values, len(level.values)
     sums, n = _ring_sums(level), np.bincount(level.edges.ravel(), minlength=count)[:, None].astype(np.float64)
@@ -200,7 +200,7 @@ def limits(level: Level, scheme: Scheme, first: int | None = None, rounds: int =
     return limited
 
 
-def _around(level: Level, centres: Int64s) -> Level:
+def _around(level: CageLevel, centres: Int64s) -> CageLevel:
     """Return the faces around the vertices ``centres`` (k,), which become the first k."""
     size = int(level.sizes[0])
     is_chosen, is_near = np.zeros((2, len(level.values)), np.bool_)
@@ -212,7 +212,7 @@ def _around(level: Level, centres: Int64s) -> Level:
     numbers = np.empty(len(level.values), np.int64)
     numbers[vertices] = np.arange(len(vertices))
     is_side = np.bincount(level.sides[rows], minlength=len(level.edges)) > 0
-    return Level(
+    return CageLevel(
         level.values[vertices], numbers[level.corners[rows]], level.sizes[faces],
         (np.cumsum(is_side) - 1)[level.sides[rows]], numbers[level.edges[is_side]], level.sharpness[is_side],
         level.spikes[vertices], level.domain[rows], level.faces[faces],
@@ -227,7 +227,7 @@ def _sums(owners: Int64s, values: Float64s, count: int, rows: Int64s) -> Float64
     return sums
 
 
-def _ring_sums(level: Level) -> Float64s:
+def _ring_sums(level: CageLevel) -> Float64s:
     """Return for each vertex the sum of the other ends of its edges (v, k)."""
     ends = level.edges.ravel()
     return _sums(ends, level.values, len(level.values), level.edges[:, ::-1].ravel())
@@ -246,7 +246,7 @@ def _by_kind(kinds: Array, values: Float64s, creased: Float64s, smooth: Float64s
     return np.select([(kinds == _CORNER)[:, None], (kinds == _CREASE)[:, None]], [values, creased], smooth)
 
 
-def _kinds(level: Level, sharpness: Float64s, spikes: Float64s) -> tuple[Array, Float64s]:
+def _kinds(level: CageLevel, sharpness: Float64s, spikes: Float64s) -> tuple[Array, Float64s]:
     """Return each vertex's rule (v,), and the sum of the other ends of its sharp edges (v, k)."""
     sharp, count = level.edges[sharpness > 0], len(spikes)
     n_sharp = np.bincount(sharp.ravel(), minlength=count)
@@ -255,7 +255,7 @@ def _kinds(level: Level, sharpness: Float64s, spikes: Float64s) -> tuple[Array, 
     return np.where(spikes > 0, _CORNER, kinds), ends
 
 
-def _sharpened(level: Level, smooth: Float64s) -> Float64s:
+def _sharpened(level: CageLevel, smooth: Float64s) -> Float64s:
     """Return moved vertices (v, k): the ``smooth`` ones, except on creases and corners.
 
     If the next level has another rule, this one weighs by the mean of the remaining sharpness.

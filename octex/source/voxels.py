@@ -36,7 +36,7 @@ _N_ATTRIBUTES = 6
 _ROUNDING = 1e-5
 
 
-class Values(NamedTuple):
+class VoxelValues(NamedTuple):
     """A channel's values, one row for each voxel."""
 
     form: ChannelFormat  # the default storage
@@ -82,7 +82,7 @@ class Voxels:
         self.origin = x, y, z
         deepest = int(self.depths.max())
         self.size = float(1 << deepest) if size is None else as_positive(size, f"{self.name}: size")
-        self.values: dict[str, Values] = {}
+        self.values: dict[str, VoxelValues] = {}
         for channel, rows in as_entries(channels, "channels").items():
             self._add(channel, rows)
         if not self.values:
@@ -168,7 +168,7 @@ class Voxels:
                 space = "linear" if form.space == "srgb" else form.space
                 is_half = fixed is not None and np.abs(rows).max() <= MOST_IN_FLOAT16
                 form = form._replace(space=space, dtype="float16" if is_half else "float32")
-        self.values[name] = Values(form, locked(np.ascontiguousarray(rows)))
+        self.values[name] = VoxelValues(form, locked(np.ascontiguousarray(rows)))
 
 
 def voxels_of(arrays: Mapping[str, Array], name: str) -> Voxels:

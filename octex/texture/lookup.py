@@ -189,19 +189,19 @@ def checked_request(
 _Fault = tuple[str, int]
 
 
-class _Block(NamedTuple):
+class _InputBlock(NamedTuple):
     """The inputs of a block of points, and rows for its results, which other processes allocate."""
 
     inputs: Inputs
     answers: list[Array]
 
     @classmethod
-    def empty(cls, inputs: Inputs, answers: list[tuple[tuple[int, ...], np.dtype[Any]]]) -> _Block:
+    def empty(cls, inputs: Inputs, answers: list[tuple[tuple[int, ...], np.dtype[Any]]]) -> _InputBlock:
         """Return a block with room for results of these shapes and types."""
         return cls(inputs, [np.empty(*each) for each in answers])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Block.empty, (self.inputs, [(each.shape, each.dtype) for each in self.answers])
+        return _InputBlock.empty, (self.inputs, [(each.shape, each.dtype) for each in self.answers])
 
 
 def in_blocks(inputs: Inputs, answers: list[Array], look_up: LookUp, run: Run) -> None:
@@ -211,7 +211,7 @@ def in_blocks(inputs: Inputs, answers: list[Array], look_up: LookUp, run: Run) -
     is not finite, or a negative width; the answers are then partly written.
     """
     if run.threads is None and run.executor is None and 0 < len(inputs["points"]) <= BLOCK:  # in one piece
-        fault, _ = _checked_block(look_up, _Block(inputs, answers))
+        fault, _ = _checked_block(look_up, _InputBlock(inputs, answers))
         if fault is not None:
             _refuse(fault, 0, inputs)
         return
@@ -233,7 +233,7 @@ def each_block(
     for begin in begins:
         rows = slice(begin, begin + BLOCK)
         block_inputs = {name: array[rows] for name, array in inputs.items()}
-        blocks.append(_Block(block_inputs, [answer[rows] for answer in answers]))
+        blocks.append(_InputBlock(block_inputs, [answer[rows] for answer in answers]))
     with workers(run, len(blocks)) as pool:
         results = ordered_map(pool, partial(_checked_block, look_up), blocks)
         for begin, (fault, block_answers) in zip(begins, results, strict=True):
@@ -280,7 +280,7 @@ def _refuse(fault: _Fault, begin: int, inputs: Inputs) -> None:
     raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {inputs[name][row].tolist()}")
 
 
-def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[Array]]:
+def _checked_block(look_up: LookUp, block: _InputBlock) -> tuple[_Fault | None, list[Array]]:
     inputs, answers = block
     block_inputs: dict[str, Array] = {}
     for name, array in inputs.items():

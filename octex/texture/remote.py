@@ -69,8 +69,8 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
             contents = container.read_mapped(remote.mapping, address)
         storage = Storage(address, remote.mapping, dict(contents.tensors), dict(contents.metadata))
     texture, fetch = texture_of(storage), partial(fetch_arrays, file)
-    channels = {name: _Channel.over(channel, fetch) for name, channel in texture.channels.items()}
-    return texture._with_parts(_Tree(texture.tree, fetch), channels, RemoteStorage(texture, file))
+    channels = {name: _RemoteChannel.over(channel, fetch) for name, channel in texture.channels.items()}
+    return texture._with_parts(_RemoteTree(texture.tree, fetch), channels, RemoteStorage(texture, file))
 
 
 class RemoteStorage(Storage):
@@ -172,7 +172,7 @@ class RemoteStorage(Storage):
             self._loaded = loaded._with_parts(loaded.tree, loaded.channels, loaded.storage)
 
 
-class _Tree(Octree):
+class _RemoteTree(Octree):
     """A tree at an address; it fetches arrays on access."""
 
     __slots__ = ("_fetch", "_loaded")
@@ -191,7 +191,7 @@ class _Tree(Octree):
         return Octree, (self.arrays, self.split, self.kept)
 
 
-class _Channel(Channel):
+class _RemoteChannel(Channel):
     """A channel at an address; it fetches values on access."""
 
     _fetch: Fetch
@@ -200,7 +200,7 @@ class _Channel(Channel):
     kept_values = property(lambda self: self[3])
 
     @classmethod
-    def over(cls, channel: Channel, fetch: Fetch) -> _Channel:
+    def over(cls, channel: Channel, fetch: Fetch) -> _RemoteChannel:
         """Return a fetching channel."""
         fetching = cls(*channel)
         fetching._fetch = fetch

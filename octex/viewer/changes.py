@@ -53,7 +53,7 @@ def with_new_channels(before: OctreeTexture, after: OctreeTexture) -> tuple[Octr
     return before.with_cells(tree, channels) if is_same else None, b"".join(parts)
 
 
-class _Runs(NamedTuple):
+class _KnownRuns(NamedTuple):
     """Runs of known cells: first new number, first old number, length."""
 
     now: Int64s
@@ -61,18 +61,18 @@ class _Runs(NamedTuple):
     lengths: Int64s
 
     @classmethod
-    def of_cells(cls, now: Int64s, before: Int64s) -> _Runs:
+    def of_cells(cls, now: Int64s, before: Int64s) -> _KnownRuns:
         """Return the longest runs of cells."""
         return cls(now, before, np.ones_like(now)).joined()
 
-    def joined(self) -> _Runs:
+    def joined(self) -> _KnownRuns:
         """Join runs that are consecutive in both textures."""
         begins = np.ones(self.now.size, np.bool_)
         ends = self.now + self.lengths, self.before + self.lengths
         begins[1:] = (self.now[1:] != ends[0][:-1]) | (self.before[1:] != ends[1][:-1])
         first = np.flatnonzero(begins)
         lengths = np.add.reduceat(self.lengths, first) if first.size else self.lengths
-        return _Runs(self.now[first], self.before[first], lengths)
+        return _KnownRuns(self.now[first], self.before[first], lengths)
 
 
 def change_between(before: OctreeTexture, after: OctreeTexture) -> tuple[dict[str, int], bytes]:
@@ -82,7 +82,7 @@ def change_between(before: OctreeTexture, after: OctreeTexture) -> tuple[dict[st
         return _packed(_around(np.empty(0, np.int64), count), after, np.ones(count, np.bool_))
     old, is_known = _known(before, after)
     known = np.flatnonzero(is_known)
-    return _packed(_Runs.of_cells(known, old[known]), after, is_known)
+    return _packed(_KnownRuns.of_cells(known, old[known]), after, is_known)
 
 
 def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tuple[dict[str, int], bytes]:
@@ -98,12 +98,14 @@ def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tu
     old, is_known = _known(change.before, draft)
     numbers_before = numbers_in(before, tiles, change.before)
     known = np.flatnonzero(is_known & is_open)
-    opened = _Runs.of_cells(numbers_now[known], numbers_before[old[known]])
+    opened = _KnownRuns.of_cells(numbers_now[known], numbers_before[old[known]])
     numbers = (each[each >= 0] for each in (numbers_now, numbers_before))
     closed = _closed(next(numbers), after.tree.n_cells, next(numbers), before.tree.n_cells)
-    runs = _Runs(*(np.concatenate(each) for each in zip(opened, closed, strict=True)))
+    runs = _KnownRuns(*(np.concatenate(each) for each in zip(opened, closed, strict=True)))
     in_order = np.argsort(runs.now, kind="stable")
-    return _packed(_Runs(*(each[in_order] for each in runs)).joined(), draft, is_known | ~is_open, ~is_open)
+    return _packed(
+        _KnownRuns(*(each[in_order] for each in runs)).joined(), draft, is_known | ~is_open, ~is_open
+    )
 
 
 def touched_by(changes: Sequence[Change]) -> list[list[float]] | None:
@@ -123,14 +125,14 @@ def touched_by(changes: Sequence[Change]) -> list[list[float]] | None:
     return [low.tolist(), high.tolist()]
 
 
-def _around(new: Int64s, count: int) -> _Runs:
+def _around(new: Int64s, count: int) -> _KnownRuns:
     """Return the runs of all other cells of ``count``, whose numbers do not change."""
     ends = np.concatenate([[-1], new, [count]])
     at = np.flatnonzero(np.diff(ends) > 1)
-    return _Runs(ends[at] + 1, ends[at] + 1, ends[at + 1] - ends[at] - 1)
+    return _KnownRuns(ends[at] + 1, ends[at] + 1, ends[at + 1] - ends[at] - 1)
 
 
-def _closed(new_numbers: Int64s, count: int, old_numbers: Int64s, old_count: int) -> _Runs:
+def _closed(new_numbers: Int64s, count: int, old_numbers: Int64s, old_count: int) -> _KnownRuns:
     """Return the runs of cells outside two sets, now and before; both have the same order."""
     gaps = []
     for numbers, end in ((new_numbers, count), (old_numbers, old_count)):
@@ -140,11 +142,11 @@ def _closed(new_numbers: Int64s, count: int, old_numbers: Int64s, old_count: int
     first = np.union1d(gaps[0][0], gaps[1][0])
     lengths = np.diff(first, append=count - new_numbers.size)
     now, before = (first + at[np.searchsorted(begins, first, "right") - 1] for begins, at in gaps)
-    return _Runs(now, before, lengths)
+    return _KnownRuns(now, before, lengths)
 
 
 def _packed(
-    runs: _Runs, texture: OctreeTexture, is_known: Bools, is_closed: Bools | None = None
+    runs: _KnownRuns, texture: OctreeTexture, is_known: Bools, is_closed: Bools | None = None
 ) -> tuple[dict[str, int], bytes]:
     """Return a change's part sizes and stream; new cells are those of a texture that are not known.
 

@@ -44,7 +44,7 @@ class Packed(NamedTuple):
         ]
 
 
-class Part(NamedTuple):
+class PagePart(NamedTuple):
     """A texture and its surface; of a set, one part of the model."""
 
     name: str
@@ -52,19 +52,19 @@ class Part(NamedTuple):
     surface: Surface | None
 
 
-def parts_of(textures: OctreeTexture | TextureSet, surface: Surface | None) -> list[Part]:
+def parts_of(textures: OctreeTexture | TextureSet, surface: Surface | None) -> list[PagePart]:
     """Return a texture, or a set's textures, each with its part of the surface.
 
     Raises ArgumentError for too many parts, and for a surface with other parts than the set.
     """
     if isinstance(textures, OctreeTexture):
-        return [Part("", textures, surface)]
+        return [PagePart("", textures, surface)]
     if len(textures) > MOST_PARTS:
         raise ArgumentError(
             f"a page shows at most {MOST_PARTS} parts, not {len(textures):,}; choose one of them"
         )
     if surface is None:
-        return [Part(name, texture, None) for name, texture in textures.items()]
+        return [PagePart(name, texture, None) for name, texture in textures.items()]
     numbers = surface.parts
     if numbers.max() + 1 != len(textures):
         count = f"{numbers.max() + 1:,} part{'s' if numbers.max() else ''}"
@@ -72,13 +72,13 @@ def parts_of(textures: OctreeTexture | TextureSet, surface: Surface | None) -> l
             f"{surface.name} has {count}, and the set {len(textures):,}; give the set's model"
         )
     return [
-        Part(name, texture, surface.part((numbers == number).nonzero()[0]))
+        PagePart(name, texture, surface.part((numbers == number).nonzero()[0]))
         for number, (name, texture) in enumerate(textures.items())
     ]
 
 
 def packed_page(
-    parts: Sequence[Part],
+    parts: Sequence[PagePart],
     *,
     title: str,
     motion: Motion | None = None,

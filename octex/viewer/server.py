@@ -21,7 +21,7 @@ from octex.formats.web import Prepared, prepared
 from octex.viewer.answers import ADDRESS, Handler, Server
 from octex.viewer.changes import change_between, change_of, is_like, touched_by, with_new_channels
 from octex.viewer.maps import maps_of
-from octex.viewer.pack import Packed, Part, packed_page, parts_of
+from octex.viewer.pack import Packed, PagePart, packed_page, parts_of
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -54,7 +54,7 @@ class _State(NamedTuple):
     """A version of the content; in memory, since files may be overwritten."""
 
     version: str
-    parts: list[Part]
+    parts: list[PagePart]
     prepared: list[Prepared]
     session: dict[str, Any] | None  # the session's status
     before: OctreeTexture | None  # the session's texture in the version before

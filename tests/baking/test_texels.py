@@ -11,7 +11,7 @@ from octex.baking import atlas
 from octex.baking.coordinates import stretches_of
 from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import kept_layout, neighbours_of_mesh, unit_area
-from octex.baking.maps import Values, fit_rows, inputs_of, lacking
+from octex.baking.maps import MapValues, fit_rows, inputs_of, lacking
 from octex.baking.texels import draw_texels, texel_points
 from octex.errors import ModelError
 from octex.source.corners import Corners
@@ -268,7 +268,7 @@ def test_stretches_are_least_singular_values_and_their_ways():
 
 @pytest.mark.parametrize(("most", "factor"), [(1.0 + 2.0**-23, 1.0), (3.0, 3.0)])
 def test_images_are_scaled_only_for_light_that_exceeds_1_by_more_than_rounding(most, factor):
-    maps = Values.of(["base_color"], 4, 4)
+    maps = MapValues.of(["base_color"], 4, 4)
     maps.values[:, :2], maps.areas[:] = most, 1.0
     with ThreadPoolExecutor() as pool:
         read = inputs_of(maps, 8, 1.0, CLAMP, pool)["base_color"]

@@ -21,7 +21,7 @@ from octex.channels import (
 )
 from octex.conversion import fit
 from octex.conversion.levels import assemble, cell_levels
-from octex.conversion.lookups import Leaves, members_of
+from octex.conversion.lookups import FittedLeaves, members_of
 from octex.conversion.samples import SHARE_STEPS, sample_points
 from octex.conversion.solve import SHRINK
 from octex.errors import ArgumentError
@@ -349,7 +349,7 @@ def test_trees_of_any_depths_are_fitted(monkeypatch):
     surface = painted(waves(16))
     _, made, samples, placement = sampled(surface, 6)
     tree, channels = merged(made.tree, made.channels)
-    leaves = Leaves.of(tree, samples)
+    leaves = FittedLeaves.of(tree, samples)
     assert np.array_equal(leaves.ranks[leaves.cells], np.arange(tree.n_leaves))
     assert np.array_equal(leaves.firsts[1:], leaves.ends[:-1])
     assert (leaves.firsts[0], leaves.ends[-1]) == (0, len(samples.shares))

@@ -20,7 +20,7 @@ from octex.drawing import (
     write_preview,
 )
 from octex.drawing.hits import Hits
-from octex.drawing.shaders import Appearance, Shown
+from octex.drawing.shaders import Appearance, ShownChannels
 from octex.drawing.soft_light import background, light
 from octex.errors import ArgumentError, OutputError
 from octex.source.surface import Surface
@@ -368,7 +368,7 @@ def test_the_channel_most_like_a_colour_is_chosen():
     order = ["base_color", "emissive", "alpha", "normal"]
     for first in range(4):
         formats = [CHANNELS[name] for name in reversed(order[first:])]
-        assert Shown.of(formats).channel.name == order[first]
+        assert ShownChannels.of(formats).channel.name == order[first]
 
 
 def test_a_preview_is_drawn_from_where_it_is_asked_for(quarters):

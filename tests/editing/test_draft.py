@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import octex
-from octex.editing.draft import Change, Tiles, cut_out, put_back, tiles_around
+from octex.editing.draft import Change, OpenTiles, cut_out, put_back, tiles_around
 from octex.painting import merge as tilewise
 from octex.painting.first import with_coverage
 from octex.painting.image import BLENDS
@@ -28,7 +28,7 @@ def test_what_is_cut_out_is_put_back_as_it_was(texture, data):
     level = data.draw(st.integers(1, texture.tree.max_depth), label="level")
     codes = texture.tree.level_codes(level)
     chosen = data.draw(st.sets(st.integers(0, len(codes) - 1), max_size=6), label="tiles")
-    tiles = Tiles(level, codes[sorted(chosen)])
+    tiles = OpenTiles(level, codes[sorted(chosen)])
     part = cut_out(texture, tiles)
     part.tree.validate()
     assert_same(put_back(texture, tiles, part), texture)
@@ -48,7 +48,7 @@ def test_a_change_of_values_alone_is_put_into_the_texture_as_any_draft_is(textur
     codes = texture.tree.level_codes(level)
     chosen = data.draw(st.sets(st.integers(0, len(codes) - 1), max_size=6), label="tiles")
     arrays = data.draw(st.sets(st.sampled_from(["values", "kept_values", "split_values"])), label="arrays")
-    tiles = Tiles(level, codes[sorted(chosen)])
+    tiles = OpenTiles(level, codes[sorted(chosen)])
     part = cut_out(texture, tiles)
     channels = {
         name: channel._replace(**{each: getattr(channel, each)[::-1].copy() for each in arrays})

@@ -17,7 +17,7 @@ from octex.errors import ArgumentError, ModelError
 from octex.formats.ptex.export import _at
 from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of, place
 from octex.formats.ptex.reader import PtexFile
-from octex.formats.ptex.writer import Contents, write_contents
+from octex.formats.ptex.writer import PtexContents, write_contents
 from octex.parallel import Run, workers
 from tests.make.small_surfaces import OCTAHEDRON, OCTAHEDRON_FACES
 from tests.oracles import naive_ptex
@@ -270,7 +270,7 @@ def test_across_edges_of_triangles_values_go_on_whatever_the_faces_resolutions(s
     texels = np.random.default_rng(0).random((int(faces.counts.sum()), 3), np.float32)
     path = tmp_path / "made.ptx"
     with workers(Run(threads=1)) as executor:
-        write_contents(Contents("triangle", faces, texels), path, executor)
+        write_contents(PtexContents("triangle", faces, texels), path, executor)
     painted = surface.with_sources(octex.Ptex(path).sources)
     along = np.linspace(0.0, 1.0, 97)
     here = np.stack([1 - along, along, np.zeros(97)], axis=1)
@@ -299,7 +299,7 @@ def test_a_corner_of_texels_on_an_edge_of_triangles_is_the_mean_of_six(tmp_path)
     texels = np.arange(8, dtype=np.float32)[:, None] / 8
     path = tmp_path / "made.ptx"
     with workers(Run(threads=1)) as executor:
-        write_contents(Contents("triangle", faces, texels), path, executor)
+        write_contents(PtexContents("triangle", faces, texels), path, executor)
     painted = surface.with_sources(octex.Ptex(path).sources)
 
     def at(u, v):

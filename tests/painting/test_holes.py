@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import octex
-from octex.editing.draft import Tiles
+from octex.editing.draft import OpenTiles
 from octex.errors import ArgumentError
 from octex.painting.first import filled
 from octex.painting.multigrid import graph_of, solve
@@ -193,7 +193,7 @@ def test_a_region_has_the_sheets_of_the_whole(seed):
     surface = plain(tilted(together(square(0.0, steps=3), square(0.02, steps=2), square(0.3, steps=1)), seed))
     whole, placement = cut(surface, 7)
     codes = np.unique(whole.codes >> 9)
-    region = Tiles(4, codes[np.random.default_rng(seed).random(codes.size) < 0.3])
+    region = OpenTiles(4, codes[np.random.default_rng(seed).random(codes.size) < 0.3])
     with ThreadPoolExecutor(1) as executor:
         some = sheets_of(surface, placement, 7, executor, region)
     own = np.isin(whole.codes >> 9, region.codes)

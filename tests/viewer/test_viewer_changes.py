@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import octex
-from octex.editing.draft import Change, Tiles, change_in, cut_out, joined_change
+from octex.editing.draft import Change, OpenTiles, change_in, cut_out, joined_change
 from octex.viewer import Viewer
 from octex.viewer.changes import change_between, change_of
 from octex.viewer.pack import pack
@@ -257,8 +257,8 @@ def test_parents_of_a_changed_tile_are_sent_with_all_their_children(depth):
         draft = cut_out(texture, tiles)
         return draft.channels["base_color"].values[draft.tree.arrays.level_cells[tiles.level + 1] :]
 
-    each = [Tiles(change.tiles.level, code[None]) for code in change.tiles.codes]
+    each = [OpenTiles(change.tiles.level, code[None]) for code in change.tiles.codes]
     differing = [own.codes for own in each if not np.array_equal(below(before, own), below(after, own))]
-    fewest = change_in(Tiles(change.tiles.level, np.concatenate(differing)), before, after)
+    fewest = change_in(OpenTiles(change.tiles.level, np.concatenate(differing)), before, after)
     assert 0 < len(differing) < 8
     assert change_of(fewest, before, after) == change_between(before, after)

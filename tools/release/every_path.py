@@ -12,7 +12,7 @@ import PIL.Image
 import octex
 from octex.channels import BASE_COLOR
 from octex.drawing import Environment, write_preview
-from octex.editing.draft import Change, Tiles, cut_out, put_back
+from octex.editing.draft import Change, OpenTiles, cut_out, put_back
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.source.mesh import Mesh
@@ -265,7 +265,7 @@ def _process(texture: octex.OctreeTexture, surface: octex.Surface) -> None:
     finer = octex.resize(texture, 3)
     finer.sample(surface.rest, filter="nearest")
     codes, _ = list(finer.tree.walk())[2]
-    tiles = Tiles(2, codes[:1])
+    tiles = OpenTiles(2, codes[:1])
     draft = cut_out(finer, tiles)
     put_back(finer, tiles, draft)
     Change(tiles, draft, octex.levels(draft, gamma=2.0)).put_into(finer)

@@ -19,7 +19,7 @@ from octex.formats.ptex.field import TexelField
 from octex.formats.ptex.layout import DTYPES, LONGEST_LOG2, MESH_TYPES, QUAD, TRIANGLE, Faces
 from octex.formats.ptex.patches import Patches, faces_of, patches_of, place, stretches
 from octex.formats.ptex.source import CHANNELS_KEY
-from octex.formats.ptex.writer import Contents, write_contents
+from octex.formats.ptex.writer import PtexContents, write_contents
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.corners import area_vectors
 from octex.source.subdivided import subdivide
@@ -97,11 +97,11 @@ def write_ptex(
     ]
     notes = [(form.name, form.components, space) for form, space in zip(forms, spaces, strict=True)]
     with workers(run) as pool:
-        samples = _Samples(surface, patches, faces)
+        samples = _TexelSamples(surface, patches, faces)
         sampled_values = _sampled(texture, samples, names, pool, run.report)
         columns = np.split(_fitted(sampled_values, samples, forms, run.report), ends[:-1], axis=1)
         codes = [encode(column, kind, space) for column, space in zip(columns, spaces, strict=True)]
-        contents = Contents(
+        contents = PtexContents(
             MESH_TYPES[TRIANGLE if patches.is_triangle else QUAD],
             faces,
             np.concatenate(codes, axis=1),
@@ -194,7 +194,7 @@ def _cell_edges(texture: OctreeTexture, rest: Float64s) -> Float64s:
     return edges
 
 
-class _Samples(NamedTuple):
+class _TexelSamples(NamedTuple):
     """The samples of texels on their faces."""
 
     surface: Surface
@@ -219,7 +219,7 @@ class _Samples(NamedTuple):
 
 
 def _sampled(
-    texture: OctreeTexture, samples: _Samples, names: Sequence[str], executor: Executor, report: Progress
+    texture: OctreeTexture, samples: _TexelSamples, names: Sequence[str], executor: Executor, report: Progress
 ) -> Float32s:
     """Sample the texture for all texels (texels, samples, components)."""
     surface, log2 = samples.surface, samples.faces.log2
@@ -245,7 +245,7 @@ def _sampled(
 
 
 def _fitted(
-    sampled_values: Float32s, samples: _Samples, forms: Sequence[ChannelFormat], report: Progress
+    sampled_values: Float32s, samples: _TexelSamples, forms: Sequence[ChannelFormat], report: Progress
 ) -> Float32s:
     """Return texels (texels, components) that reproduce the values ``sampled_values`` at their samples.
 

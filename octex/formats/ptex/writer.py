@@ -29,7 +29,7 @@ _SHARED = 4096
 _UNSURE = 32
 
 
-class Contents(NamedTuple):
+class PtexContents(NamedTuple):
     """The contents of a .ptx file."""
 
     mesh_type: str
@@ -41,7 +41,7 @@ class Contents(NamedTuple):
     metadata: Mapping[str, str] = {}
 
 
-def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
+def write_contents(contents: PtexContents, path: Path, executor: Executor) -> None:
     """Write a .ptx file with all levels.
 
     Each block gets the smaller encoding: texels, their differences, or one pixel. Faces of 128 KB and more
@@ -90,7 +90,9 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
         file.writelines(after)
 
 
-def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple[list[list[bytes]], Array]:
+def _levels(
+    contents: PtexContents, is_constant: Bools, executor: Executor
+) -> tuple[list[list[bytes]], Array]:
     """Return all levels, each a header and blocks, and the average of each face (n, channels)."""
     faces, texels, alpha = contents.faces, contents.texels, contents.alpha_channel
     dtype, is_triangle = texels.dtype, contents.mesh_type == layout.MESH_TYPES[layout.TRIANGLE]
@@ -123,7 +125,7 @@ def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple
     return levels, _stored(sums, dtype).astype(dtype.newbyteorder("<"))
 
 
-class _Group(NamedTuple):
+class _FaceGroup(NamedTuple):
     """Faces of one resolution."""
 
     faces: Int64s  # (n,)
@@ -132,7 +134,7 @@ class _Group(NamedTuple):
     v: int
 
 
-def _groups(log2: Int8s, firsts: Int64s, chosen_faces: Bools, pixel: int) -> Iterator[_Group]:
+def _groups(log2: Int8s, firsts: Int64s, chosen_faces: Bools, pixel: int) -> Iterator[_FaceGroup]:
     key = log2[:, 0].astype(np.int64) << 8 | log2[:, 1]
     for each in np.unique(key[chosen_faces]).tolist():
         u, v = each >> 8, each & 255
@@ -140,11 +142,11 @@ def _groups(log2: Int8s, firsts: Int64s, chosen_faces: Bools, pixel: int) -> Ite
         step = max(_TOGETHER // (pixel << u + v), 1)
         for begin in range(0, len(chosen), step):
             part = chosen[begin : begin + step]
-            yield _Group(part, firsts[part], u, v)
+            yield _FaceGroup(part, firsts[part], u, v)
 
 
 def _encoded_group(
-    texels: Array, alpha: int | None, is_triangle: bool, group: _Group
+    texels: Array, alpha: int | None, is_triangle: bool, group: _FaceGroup
 ) -> tuple[Float64s, list[tuple[Uint32s, list[bytes]]]]:
     """Return the averages (n, channels) of faces, and their blocks in each level."""
     u, v = group.u, group.v

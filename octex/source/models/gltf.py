@@ -35,7 +35,7 @@ from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.source.mesh import check_below
 from octex.source.models.gltf_motion import PlacedPrimitive, Primitive, motion_of, pose_of
-from octex.source.models.reading import LoadedMaterial, Options, Part, Slot, assembled, warn
+from octex.source.models.reading import LoadedMaterial, Options, PlacedMesh, Slot, assembled, warn
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
@@ -75,12 +75,14 @@ def load_gltf(path: Path, options: Options) -> Surface:
     is_mapped = any(each.material.normal_slot is not None for each in materials.values())
     is_smooth = any("NORMAL" in each.primitive.attributes for each in placed)
     has_frames = is_mapped or (options.normals and is_smooth)
-    parts: dict[str, Part] = {}
+    parts: dict[str, PlacedMesh] = {}
     for primitive in (each.primitive for each in placed):
         if primitive.name not in parts:
             of_triangles = np.full(len(primitive.triangles), indices[primitive.material], np.int32)
             rest = primitive.attribute(_REST, (3,))
-            part = Part(primitive.positions if rest is None else rest, primitive.triangles, of_triangles)
+            part = PlacedMesh(
+                primitive.positions if rest is None else rest, primitive.triangles, of_triangles
+            )
             if options.materials:  # a posed primitive's normals are not those at rest
                 needs_frames = has_frames and (rest is None or is_mapped)
                 part = _with_attributes(part, primitive, materials[primitive.material], needs_frames)
@@ -196,7 +198,9 @@ def _check_indices(indices: Array, count: int, name: str) -> None:
         )
 
 
-def _with_attributes(part: Part, primitive: Primitive, loaded: LoadedMaterial, has_frames: bool) -> Part:
+def _with_attributes(
+    part: PlacedMesh, primitive: Primitive, loaded: LoadedMaterial, has_frames: bool
+) -> PlacedMesh:
     """Read the attributes that a primitive's material needs, and those that other sources may need."""
     positions, triangles = part.positions, part.triangles
 

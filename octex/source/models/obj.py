@@ -21,7 +21,7 @@ from octex.source.models.mtl import load_materials, wavefront_lines
 from octex.source.models.reading import (
     LoadedMaterial,
     Options,
-    Part,
+    PlacedMesh,
     assembled,
     check_among,
     cut_part,
@@ -237,7 +237,7 @@ def _bind(
     return materials, numbers[polygons], files
 
 
-def _white_below_images(part: Part, materials: list[LoadedMaterial]) -> Part:
+def _white_below_images(part: PlacedMesh, materials: list[LoadedMaterial]) -> PlacedMesh:
     """Drop vertex colours under images of colour: programs repeat these, or write a meaningless grey."""
     textured = np.array([each.material.inputs["base_color"].texture is not None for each in materials])
     is_white = textured[part.materials]

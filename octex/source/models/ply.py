@@ -53,7 +53,7 @@ class _Property(NamedTuple):
     count_type: str | None
 
 
-class _Values(NamedTuple):
+class _PropertyValues(NamedTuple):
     """A property of all elements: values, and the lengths of lists."""
 
     values: Array
@@ -103,13 +103,13 @@ class Ply:
         self._ascii = encoding == "ascii"
         self._order = ">" if encoding == "binary_big_endian" else "<"
 
-    def _read(self) -> dict[str, dict[str, _Values]]:
+    def _read(self) -> dict[str, dict[str, _PropertyValues]]:
         numbers = parse_numbers(self._body.decode("latin-1") if self._ascii else "")
         if numbers is None:
             raise damaged(f"{self.name}: its data are not all numbers")
         available = len(numbers) if self._ascii else len(self._body)
         raw = np.frombuffer(self._body, np.uint8)
-        elements: dict[str, dict[str, _Values]] = {}
+        elements: dict[str, dict[str, _PropertyValues]] = {}
         at = 0
         for element, count, properties in self._elements:
             if not properties:  # such elements take no bytes
@@ -140,7 +140,7 @@ class Ply:
 
     def _values(
         self, kind: _Property, numbers: Float64s, raw: Uint8s, starts: Int64s, sizes: Int64s
-    ) -> _Values:
+    ) -> _PropertyValues:
         dtype = np.dtype(self._order + kind.type)
         width = 1 if self._ascii else dtype.itemsize
         is_list = kind.count_type is not None
@@ -150,9 +150,9 @@ class Ply:
             values: Array = numbers[starts]
         else:
             values = raw[starts[:, None] + np.arange(width)].view(dtype)[:, 0].astype(kind.type)
-        return _Values(values, sizes if is_list else None, kind.type)
+        return _PropertyValues(values, sizes if is_list else None, kind.type)
 
-    def _numbers(self, element: str) -> dict[str, _Values]:
+    def _numbers(self, element: str) -> dict[str, _PropertyValues]:
         """Return the properties of an element that are single numbers."""
         return {name: each for name, each in self.data.get(element, {}).items() if each.sizes is None}
 
@@ -230,7 +230,7 @@ class Ply:
         return texels
 
 
-def _element_colors(element: dict[str, _Values]) -> Float32s | None:
+def _element_colors(element: dict[str, _PropertyValues]) -> Float32s | None:
     """Return the linear colours of an element's rows; integers are codes, floats in 0 … 1, or 0 … 255."""
     for names in _COLORS:
         if not all(name in element for name in names[:3]):

@@ -129,7 +129,7 @@ def slot_coordinates(
     return by_slot
 
 
-class Part(NamedTuple):
+class PlacedMesh(NamedTuple):
     """A mesh in local coordinates, the attributes of its corners, and its matrix in a scene."""
 
     positions: Float64s
@@ -143,7 +143,7 @@ class Part(NamedTuple):
     polygons: Polygons | None = None
     matrix: Float64s | None = None  # to the world
 
-    def placed(self) -> Part:
+    def placed(self) -> PlacedMesh:
         """Return the part in the world."""
         if self.matrix is None:
             return self
@@ -168,8 +168,11 @@ class Part(NamedTuple):
 
 
 def with_frames(
-    part: Part, materials: Mapping[int, LoadedMaterial], normals: Corners | None, default: Corners | None
-) -> Part:
+    part: PlacedMesh,
+    materials: Mapping[int, LoadedMaterial],
+    normals: Corners | None,
+    default: Corners | None,
+) -> PlacedMesh:
     """Return a part with frames along the coordinates of normal maps, or of ``default`` without a map."""
     slots = np.full(max(materials) + 1, -1)
     for number, (material, *_) in materials.items():
@@ -187,7 +190,7 @@ def winding(linear: Float64s) -> slice:
 
 
 def assembled(
-    parts: Sequence[Part],
+    parts: Sequence[PlacedMesh],
     materials: Sequence[Material],
     options: Options,
     name: str,
@@ -279,7 +282,7 @@ def cut_part(
     sizes: Int64s,
     of_vertices: Float32s | None = None,
     of_polygons: Float32s | None = None,
-) -> tuple[Part, Int64s, Int64s]:
+) -> tuple[PlacedMesh, Int64s, Int64s]:
     """Cut polygons of ``sizes`` vertices, concatenated in ``indices``, into triangles of one material.
 
     The part has the colours of its vertices, or else of its polygons. Also returns each corner's row of
@@ -295,11 +298,11 @@ def cut_part(
     elif of_polygons is not None:
         colors = Corners.of_triangles(of_polygons, numbers)
     materials, polygons = np.zeros(len(corners), np.int32), cut_polygons(corners, numbers, sizes)
-    return Part(positions, triangles, materials, colors, polygons=polygons), corners, numbers
+    return PlacedMesh(positions, triangles, materials, colors, polygons=polygons), corners, numbers
 
 
 def colored_surface(
-    name: str, options: Options, part: Part, textures: Sequence[Texture | None] = (None,)
+    name: str, options: Options, part: PlacedMesh, textures: Sequence[Texture | None] = (None,)
 ) -> Surface:
     """Build a surface of colours and textures alone; alpha of colours counts unless it is 0 everywhere."""
     colors = part.colors

@@ -25,7 +25,7 @@ from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
 from octex.source.mesh import check_below
-from octex.source.models.reading import Options, Part, colored_surface, warn, winding
+from octex.source.models.reading import Options, PlacedMesh, colored_surface, warn, winding
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
@@ -52,7 +52,7 @@ def load_3mf(path: Path, options: Options) -> Surface:
         return _Package(package, path.name, options, len(data)).surface()
 
 
-class _Group(NamedTuple):
+class _RowGroup(NamedTuple):
     """Consecutive rows of the tables, and the number of their image, 0 for none."""
 
     first: int
@@ -61,7 +61,7 @@ class _Group(NamedTuple):
     is_blended: bool = False
 
 
-class _Mesh(NamedTuple):
+class _ObjectMesh(NamedTuple):
     positions: Float64s
     triangles: Int64s  # (m, 3)
     rows: Int64s  # (m, 3)   each corner's row of the tables
@@ -74,13 +74,13 @@ class _Package:
     def __init__(self, package: zipfile.ZipFile, name: str, options: Options, size: int) -> None:
         self._package, self._name, self._options = package, name, options
         self._largest_part, self._bytes_left = _UNPACKED * size, _PLACED + _TIMES * size
-        self._groups: dict[tuple[str, str], _Group] = {}
+        self._groups: dict[tuple[str, str], _RowGroup] = {}
         self._objects: dict[tuple[str, str], Element] = {}
         self._images: list[Texture | None] = [None]
         self._colors: list[Float32s] = [np.ones((1, 4), np.float32)]  # row 0: without colour
         self._coordinates: list[Float64s] = [np.zeros((1, 2))]
         self._parts: dict[str, Element] = {}
-        self._meshes: dict[tuple[str, str], list[_Mesh]] = {}  # of objects, not placed
+        self._meshes: dict[tuple[str, str], list[_ObjectMesh]] = {}  # of objects, not placed
         self._left_out: set[str] = set()
 
     def surface(self) -> Surface:
@@ -103,7 +103,7 @@ class _Package:
         triangles = np.concatenate([m.triangles + first for m, first in zip(meshes, firsts, strict=False)])
         rows = np.concatenate([mesh.rows for mesh in meshes]).astype(np.int32)
         images = np.concatenate([mesh.images for mesh in meshes])
-        part = Part(
+        part = PlacedMesh(
             np.concatenate([mesh.positions for mesh in meshes]),
             triangles.astype(np.int32),
             images,
@@ -187,11 +187,11 @@ class _Package:
             coordinates = np.concatenate(self._coordinates)[blended_rows]
         elif kind != "texture2dgroup":
             return
-        self._groups[key] = _Group(sum(map(len, self._colors)), count, image, kind in _BLENDS)
+        self._groups[key] = _RowGroup(sum(map(len, self._colors)), count, image, kind in _BLENDS)
         self._colors.append(colors)
         self._coordinates.append(coordinates)
 
-    def _placed(self, part: str, item: Element, depth: int) -> list[_Mesh]:
+    def _placed(self, part: str, item: Element, depth: int) -> list[_ObjectMesh]:
         """Return the meshes of an item of the build, or of a component, transformed by it."""
         self._part(part)
         number = item.get("objectid", "")
@@ -221,11 +221,11 @@ class _Package:
         matrix = np.array(transform.split(), np.float64).reshape(4, 3)
         linear, offset, order = matrix[:3], matrix[3], winding(matrix[:3])
         return [
-            _Mesh(positions @ linear + offset, triangles[:, order], rows[:, order], images)
+            _ObjectMesh(positions @ linear + offset, triangles[:, order], rows[:, order], images)
             for positions, triangles, rows, images in meshes
         ]
 
-    def _mesh(self, part: str, entry: Element, mesh: Element) -> _Mesh:
+    def _mesh(self, part: str, entry: Element, mesh: Element) -> _ObjectMesh:
         corners = [(v.get("x"), v.get("y"), v.get("z")) for v in _elements(mesh, "vertices", "vertex")]
         faces = _elements(mesh, "triangles", "triangle")
         used = [(face.get("v1"), face.get("v2"), face.get("v3")) for face in faces]
@@ -247,7 +247,7 @@ class _Package:
                 rows[is_member] = group.first + properties[is_member]
                 images[is_member] = group.image
         check_below(triangles, len(corners), f"{self._name}: a triangle uses vertex")
-        return _Mesh(np.array(corners, np.float64).reshape(-1, 3), triangles, rows, images)
+        return _ObjectMesh(np.array(corners, np.float64).reshape(-1, 3), triangles, rows, images)
 
 
 def _dominant(group: Element) -> tuple[str, Int64s]:

@@ -25,7 +25,7 @@ from octex.source.mesh import check_below
 from octex.source.models.reading import (
     LoadedMaterial,
     Options,
-    Part,
+    PlacedMesh,
     assembled,
     cut_polygons,
     slot_coordinates,
@@ -205,7 +205,7 @@ class _Scene:
 
     def _part(
         self, prim: Any, faces: dict[int, Int64s], materials: dict[int, LoadedMaterial], has_frames: bool
-    ) -> Part:
+    ) -> PlacedMesh:
         what, holes = f"{self._name}: {prim.GetPath()}", np.empty(0, np.int64)
         shape = shape_polygons(prim, self._time)
         if shape is not None:
@@ -236,7 +236,7 @@ class _Scene:
         for number, of_material in faces.items():
             check_below(of_material, len(sizes), f"{what} binds a material to a face")
             numbers[of_material] = number
-        part = Part(positions, triangles, numbers[owners], polygons=polygons)
+        part = PlacedMesh(positions, triangles, numbers[owners], polygons=polygons)
         if not self._options.materials:
             return part._replace(materials=np.zeros(len(triangles), np.int32))
         at_zero = Corners(np.zeros((1, 2), np.float32), np.zeros_like(triangles))

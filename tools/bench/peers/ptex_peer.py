@@ -33,7 +33,7 @@ from octex.formats.ptex.layout import (
     Faces,
 )  # fmt: skip
 from octex.formats.ptex.reader import PtexFile
-from octex.formats.ptex.writer import Contents, halved, multiply, write_contents
+from octex.formats.ptex.writer import PtexContents, halved, multiply, write_contents
 from octex.parallel import workers
 
 PROGRAM = Path(__file__).with_suffix(".cpp")
@@ -47,7 +47,7 @@ SOURCES = (
 class Dump(NamedTuple):
     """What Ptex's library reads in a file."""
 
-    contents: Contents
+    contents: PtexContents
     is_constant: np.ndarray  # (faces,)
     least: np.ndarray  # (faces, channels)
     reductions: list[list[np.ndarray]]  # of each face, (v, u, channels) each
@@ -113,14 +113,14 @@ def dumped(program: Path, path: Path) -> Dump:
         key, value = taken("S1", name).tobytes().decode(), taken("u1", size)
         if which == TEXT:
             metadata[key] = value.tobytes().rstrip(b"\0").decode(errors="replace")
-    contents = Contents(
+    contents = PtexContents(
         MESH_TYPES[mesh], faces, texels, None if alpha < 0 else alpha, (BORDER_MODES[u], BORDER_MODES[v]),
         EDGE_FILTERS[edges], metadata,
     )  # fmt: skip
     return Dump(contents, np.array(constant), np.array(least), reductions)
 
 
-def written(program: Path, contents: Contents, path: Path) -> None:
+def written(program: Path, contents: PtexContents, path: Path) -> None:
     """Write a file by the library."""
     faces, texels = contents.faces, contents.texels
     head = np.array(
@@ -142,7 +142,7 @@ def written(program: Path, contents: Contents, path: Path) -> None:
         raise ModelError(f"{path.name}: Ptex says {done.stderr.decode(errors='replace').strip()}")
 
 
-def differences(dump: Dump, path: Path, wanted: Contents | None = None) -> Iterator[str]:
+def differences(dump: Dump, path: Path, wanted: PtexContents | None = None) -> Iterator[str]:
     """Say how what octex reads in a file differs from what the library reads, and from what was written."""
     with PtexFile(path) as file:
         own = {"mesh_type": file.mesh_type, "alpha_channel": file.alpha_channel,
@@ -187,7 +187,7 @@ def differences(dump: Dump, path: Path, wanted: Contents | None = None) -> Itera
             yield f"the library reads other metadata: {dump.contents.metadata}"
 
 
-def random_contents(seed: int) -> Contents:
+def random_contents(seed: int) -> PtexContents:
     """Draw what a file may hold."""
     draw = np.random.default_rng(seed)
     triangles = bool(draw.integers(2))
@@ -218,7 +218,7 @@ def random_contents(seed: int) -> Contents:
     alpha = int(draw.integers(channels)) if draw.random() < 0.3 else None
     metadata = {f"entry {n}": "grün " * int(draw.integers(1, 150)) for n in range(draw.integers(8))}
     modes = BORDER_MODES[draw.integers(3)], BORDER_MODES[draw.integers(3)]
-    return Contents(
+    return PtexContents(
         MESH_TYPES[not triangles], faces, texels, alpha, modes, EDGE_FILTERS[draw.integers(2)], metadata
     )
 
@@ -234,7 +234,7 @@ def main(arguments: list[str] | None = None) -> int:
     program = build(options.source, options.build.resolve())
     failed = 0
 
-    def judge(name: str, path: Path, wanted: Contents | None = None) -> None:
+    def judge(name: str, path: Path, wanted: PtexContents | None = None) -> None:
         nonlocal failed
         found = list(differences(dumped(program, path), path, wanted))
         failed += bool(found)
