@@ -42,7 +42,7 @@ def main(folder: Path) -> None:
     both = [octex.render(each, surface, view) for each in (texture, None)]
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.vstack([np.hstack(shown), np.hstack(both)])).save(folder / "photos.png")
-    print(f"{folder / 'photos.png'}: three projections; painted with them, and the truth; {texture.tree!r}")
+    print(f"{folder / 'photos.png'}: three images; painted with them, and the truth; {texture.tree!r}")
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ _MOST_DRAWN = 8.0
 #: A triangle is squeezed if its texels are this many cells long, and this many times longer than in a map
 #: that shows the mesh evenly.
 _LONG, _UNEVEN = 4.0, 16.0
-#: Largest distance, in texels, of a point inside a triangle from itself, computed by barycentrics.
+#: A point is inside a triangle if its clamped barycentric coordinates give it back, within this many texels.
 _INSIDE = 1e-6
 #: Rows of texels in one task.
 _ROWS = 128
@@ -43,7 +43,7 @@ def check_overlaps(
     texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor
 ) -> None:
     """Raise ModelError if differing areas of a mesh share its texture coordinates."""
-    area = unit_area(layout)
+    area, whole = unit_area(layout), "the map"
     shared = 1.0 - 1.0 / area if area > _MOST_DRAWN else 0.0
     if 0.0 < area <= _MOST_DRAWN:
         layout = layout.sized(PROBE)
@@ -54,11 +54,12 @@ def check_overlaps(
         shared = max(area - covered, 0.0) / area
         areas = None
         if shared <= _MOST:  # small parts of a map may show most of the surface
-            areas = areas_of(mesh)[layout.faces] / np.bincount(layout.faces)[layout.faces]
+            areas, whole = areas_of(mesh)[layout.faces], "its surface"
+            areas /= np.bincount(layout.faces)[layout.faces]
         shared = _differing(texture, mesh, names, layout, drawn, areas)
     if shared > _MOST:
         raise ModelError(
-            f"{mesh.name}: at least {100 * shared:.3g} % of its texture coordinates overlap, "
+            f"{mesh.name}: its texture coordinates overlap on at least {100 * shared:.3g} % of {whole}, "
             "and the overlapping areas differ in colour; let octex make an atlas"
         )
 

@@ -62,15 +62,15 @@ def write(surface: Surface, target: Target) -> Written:
     names = image_names(content.materials, path.stem, content.images)
     arrays = path.with_name(f"{path.stem}.bin")
     datas = ([data] for data, _ in content.images)
-    image_files = list(zip(map(path.with_name, names), datas, strict=True))
+    side_files = list(zip(map(path.with_name, names), datas, strict=True))
     if octree is not None:
-        image_files.append((path.with_suffix(".octw"), [octree]))
-        content.carry(_reference(image_files[-1][0].name))
+        side_files.append((path.with_suffix(".octw"), [octree]))
+        content.carry(_reference(side_files[-1][0].name))
     words = content.finish(_reference(arrays.name), lambda number: _reference(names[number]))
-    for file_path, blocks in [*image_files, (arrays, content.arrays), (path, [words])]:
+    for file_path, blocks in [*side_files, (arrays, content.arrays), (path, [words])]:
         with replacing(file_path) as file:
             file.writelines(blocks)
-    return Written([path, arrays, *(file_path for file_path, _ in image_files)], image_bytes)
+    return Written([path, arrays, *(file_path for file_path, _ in side_files)], image_bytes)
 
 
 class _Content:

@@ -169,7 +169,7 @@ def blend_rows(
 ) -> None:
     """Blend paint (n, components) with ``old`` values, and write rows (n,) of channels and painted parts.
 
-    Fresh rows without paint get the alpha of the cells ``bare`` (n,), if given.
+    Fresh rows without paint get the values of the cells ``bare`` (n,), if given, but in alpha.
     """
     for name, (new, part) in mixed(task.blend, task.target, old, paint, coverage, is_fresh).items():
         if bare is not None and alpha_of(name) is not None:
@@ -369,5 +369,7 @@ def averaged_above(task: Merge, draft: OctreeTexture, merged: Merged) -> Merged:
     above = nodes_above(texture.tree, merged.painted, merged.is_new, draft.tree, task.layer.tree)
     may_split = may_differ(texture.tree, np.empty(0, np.int64), np.empty(0, np.uint8), above)
     base, parts = (with_split_cells(each, may_split) for each in (texture, merged.parts))
-    leaves = base, writable(base, base.channels), writable(parts, parts.channels)
-    return averaged(task, draft, raised, *leaves, above, merged.painted, merged.averages_rows)
+    channels, part_channels = writable(base, base.channels), writable(parts, parts.channels)
+    return averaged(
+        task, draft, raised, base, channels, part_channels, above, merged.painted, merged.averages_rows
+    )

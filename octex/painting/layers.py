@@ -374,9 +374,9 @@ class Layers(Painter):
         return True
 
 
-def _without(stack: Stack, removed: Stack) -> list[Layer]:
+def _without(stack: Stack, other: Stack) -> list[Layer]:
     """Return the layers of a stack that another one lacks."""
-    numbers = {layer.number for layer in removed}
+    numbers = {layer.number for layer in other}
     return [layer for layer in stack if layer.number not in numbers]
 
 

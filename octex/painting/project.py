@@ -369,7 +369,7 @@ class Projected(PaintSource):
 
 @kernel
 def _pixels_of(seen: Visibility, n_triangles: int) -> Int32s:
-    """Return the pixels that see each of ``count`` triangles."""
+    """Return the pixels that see each of ``n_triangles`` triangles."""
     counts = np.zeros(n_triangles, np.int32)
     for row in range(seen.rows.shape[0]):
         for column in range(seen.rows.shape[1]):

@@ -159,9 +159,9 @@ def _read_near_edge(
     plane: Vector,
     slack: float,
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return paint at a place as `read_paint` does, but only from pixels that see the same surface.
+    """Return paint at a position as `read_paint` does, but only from pixels that see the same surface.
 
-    Their mean, weighted by nearness, replaces others. ``pixel`` is the place before distortion.
+    Their mean, weighted by nearness, replaces others. ``pixel`` is the position before distortion.
     """
     (u, v), (x, y) = position, pixel
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]

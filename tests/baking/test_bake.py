@@ -301,7 +301,7 @@ def test_coordinates_that_overlap_in_a_small_part_of_the_map_but_on_much_of_the_
     seen = surface.scatter(2000)
     baked = octex.bake(texture, surface)
     np.testing.assert_allclose(baked.evaluate(seen), texture.sample(seen, "base_color"), atol=4e-3)
-    with pytest.raises(ModelError, match="texture coordinates overlap, and the overlapping areas differ"):
+    with pytest.raises(ModelError, match=r"coordinates overlap on at least [0-9.]+ % of"):
         octex.bake(texture, surface, uv="keep")
 
 

@@ -52,7 +52,7 @@ export class Mirror {
     gpu.drawGBuffer({ ...display, strokes: true, writesPart: true }, mirrored, this.gbuffer, width, height);
   }
 
-  // The box of the image, in CSS pixels, that can show the mirror image of a brush at a hit of the surface; see hit.js.
+  // The box of the view, in CSS pixels, that can show the mirror image of a brush at a hit of the surface; see hit.js.
   boxAround({ rest, normal, toward, depth }, brushWidth) {
     const { camera, canvas } = this.viewer, facing = Math.max(dot(normal, toward), 0.2);
     const reach = (brushWidth * Math.tan(camera.fov / 2) * depth) / canvas.clientHeight / facing, matrix = product(camera.projection(), camera.view);

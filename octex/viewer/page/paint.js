@@ -34,7 +34,7 @@ const KEYS = TOOLS.map(({ key, text }) => `${key.toUpperCase()} ${text.toLowerCa
 const HELP = [
   "Drag where the brush touches the model to paint, elsewhere or with the middle button to turn, with the right button to move; wheel or pinch zooms.",
   "Shift draws straight lines, Ctrl changes the brush’s size and hardness, Alt picks a colour.",
-  `Keys: ${KEYS}, X swaps the two colours, [ and ] size, Enter presses in the middle of the image, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns automatically.`,
+  `Keys: ${KEYS}, X swaps the two colours, [ and ] size, Enter presses in the middle of the view, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns automatically.`,
 ].join(" ");
 
 export async function startPainting(viewer, status) {

@@ -38,7 +38,7 @@ class Viewer extends Frames {
       highlight: null, // the picked cell
       moment: null, // { animation, time }; null: the model as loaded
       patch: null, // the patch that is laid flat, see flat.js
-      divider: 0, // share of the image that shows the model's images
+      divider: 0, // share of the view that shows the model's images
       relief: 0.02, // displacement of height 1, in root cells
       strokes: null, // that the texture does not have yet
     };

@@ -284,7 +284,9 @@ def of_files(path: Path) -> list[octex.Projection]:
         else:
             projections.append(octex.Projection(image, frame.camera(image_size(image))))
     if not projections:
-        raise octex.OctexError(f"{path}: none of its {len(missing)} images is there or in images next to it")
+        raise octex.OctexError(
+            f"{path}: none of its {len(missing)} images is there or in the folder images next to it"
+        )
     if missing:
         say(warning=f"{len(missing)} images of {path.name} are missing, {missing[0]} is one")
     return projections

@@ -1,4 +1,4 @@
-// Studio light around the camera, and what surfaces reflect of it: as octex.view.reflection has it.
+// Studio light around the camera, and what surfaces reflect of it: as octex.drawing.reflection has it.
 //
 // u_studio   a texel a number: the studio's tables of light by latitude and longitude, one for each step of
 //            roughness, the last of what white matte surfaces reflect; then A and B of the reflectance A·F₀ + B
