@@ -238,8 +238,8 @@ class _CallingThread(Executor):
 def workers(run: Run = DEFAULT, tasks: int | None = None) -> Iterator[Executor]:
     """Yield an executor for a number of ``tasks``, None for many; its threads end with the block.
 
-    The run gives their number; None is a thread for each processor. The calling thread does a single task,
-    and for None all tasks in a worker thread of octex.
+    The run gives their number; None is a thread for each processor. The calling thread does a single task.
+    In a worker thread of octex it does all tasks for None.
     """
     if run.executor is not None:
         yield run.executor

@@ -210,7 +210,7 @@ def _find_near(
 def find_far(
     field: Coefficients, reference: Reference, most: float, ends: Int64s, is_patch: bool, cells: Int64s
 ) -> Bools:
-    """Find finest cells (n,), in ascending order, in which a field is too far off: one for each leaf.
+    """Find finest cells (n,), in ascending order, in which a field is too far off.
 
     That is by more than ``most`` codes at a sample; with ``is_patch`` also by one code more on the patch
     around it (see `lay_out`), without a normal and with the sample's normal. ``ends`` (finest cells,) say

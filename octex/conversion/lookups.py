@@ -158,7 +158,7 @@ class Cubes(NamedTuple):
 
 
 class CubeLookups(NamedTuple):
-    """The samples of a brick and its halo, and the cells around them. See `fit.Lookups`."""
+    """The samples of a brick and its halo, and the cells around them. See `fit.SampleLookups`."""
 
     samples: Int64s  # (n,)
     strides: Float32s  # (1,)   1

@@ -195,8 +195,8 @@ def _cut(x: float, y: float, z: float, points: Float32s) -> int:
     for side in range(4):
         a, b = float((side + 1) // 2 % 2), float(side // 2)
         c, d = 1.0 - b, a
-        is_back = -1.0 if side >= 2 else 1.0
-        slope, step = is_back * slopes[side & 1], is_back * steps[side & 1]
+        sign = -1.0 if side >= 2 else 1.0
+        slope, step = sign * slopes[side & 1], sign * steps[side & 1]
         top, bottom = (begin - 1.0) * step, begin * step
         low, high = max(0.0, min(bottom, top)), min(1.0, max(bottom, top))
         end = begin - slope

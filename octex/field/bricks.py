@@ -255,10 +255,10 @@ def _clear(bricks: Bricks, planes: int, step: int, side: int, target: int) -> No
         if listed & 1 != 0:
             continue
         x, y, z = listed >> 1 & 15, listed >> 5 & 15, listed >> 9 & 15
-        children = _inside(x, y, z, side - 1)
-        while children != 0:
-            place = target + _child_place(x, y, z, trailing_zeros(children), 2 * side - 2)
-            children &= children - one
+        octants = _inside(x, y, z, side - 1)
+        while octants != 0:
+            place = target + _child_place(x, y, z, trailing_zeros(octants), 2 * side - 2)
+            octants &= octants - one
             for plane in range(planes):
                 first = np.uint64(4 * (place + plane * _CELLS))
                 rows[first] = rows[first + one] = zero

@@ -293,7 +293,7 @@ def cell_at(arrays: TreeArrays, walk: Walk, level: int, word: int, bit: int) -> 
 
 @inlined
 def _rank(word: np.uint64, bit: int) -> int:
-    """Count the children of a parent before a place, of those in a word."""
+    """Count the bits of a word below a bit, in its byte."""
     return rank_in(word >> np.uint64(bit & 56), bit & 7)
 
 
@@ -311,7 +311,7 @@ def _slot(parents: int, above: int, child: int) -> int:
 
 @inlined
 def flag_at(bit: int) -> np.uint64:
-    """Return the bit at a place of a word."""
+    """Return a word with one bit."""
     return np.uint64(1) << np.uint64(bit)
 
 

@@ -55,9 +55,8 @@ def unite(first: Octree, second: Octree) -> tuple[Octree, Origins, Origins]:
     areas = np.zeros(n_cells, np.uint8)
     tree = Octree(TreeArrays(groups, level_cells, level_nodes, flags[:n_cells], areas))
     first_origins, second_origins = map(Origins, cells[:, :n_cells], nodes[:, :n_nodes])
-    if (first_origins.nodes < NOTHING).any() or (
-        second_origins.nodes < NOTHING
-    ).any():  # leaves, whose facings other cells lack
+    if any((origins.nodes < NOTHING).any() for origins in (first_origins, second_origins)):
+        # Some nodes were leaves, whose facings other cells lack.
         tree = tree.with_cell_data(facings_of_nodes(tree), areas)
     return tree, first_origins, second_origins
 

@@ -14,7 +14,7 @@ surface     triangles with a source
 misplaced   surfaces that are not the texture's
 implicit    where a function is zero, as triangles
 subdivided  limit surfaces of cages; subdivision: their rules
-parts       connected parts: those that intersect or nearly touch, moved apart at rest
+parts       connected parts; which of them intersect or nearly touch, and these moved apart at rest
 welding     vertices at one place, and rows of numbers, each once
 colors      colours as users and files give them, as linear light
 motion      how a model moves over time

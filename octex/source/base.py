@@ -119,7 +119,7 @@ class PartSource(Forwarded):
         self._rest = rest
 
     def with_rest(self, rest: Float64s) -> PartSource:
-        """Return the same source on other rest positions of the picked vertices (v, 3)."""
+        """Return the same source on other rest positions of the part's vertices (v, 3)."""
         whole = self._rest.copy()
         whole[self._vertices] = rest
         return PartSource(self._inputs[0].with_rest(whole), self._targets, self._vertices, whole)

@@ -64,7 +64,7 @@ class Motion(NamedTuple):
         frame = min(max(time / length, 0.0), 1.0) * last if length > 0 else 0.0
         before = min(int(frame), max(last - 1, 0))
         after, share = min(before + 1, last), frame - before
-        bones, weights = ((1.0 - share) * of[before] + share * of[after] for of in (bones, weights))
+        bones, weights = ((1.0 - share) * keys[before] + share * keys[after] for keys in (bones, weights))
         shape = self.positions.copy()
         np.add.at(shape, self.targets.owners, weights[self.targets.numbers, None] * self.targets.shares)
         moves = np.zeros((len(shape), 3, 4))

@@ -72,7 +72,7 @@ def rank(groups: Uint64s) -> None:
 
 @kernel
 def gather_facings(groups: Uint64s, cells: Int64s, flags: Uint8s, gathered: Uint8s) -> None:
-    """Write flags (cells,) whose nodes have the facings of their children to ``gathered``, or in place."""
+    """Write nodes' ``flags``, with the facings of their children, to ``gathered``; it may be ``flags``."""
     end = flags.size
     for node in range(cells.size - 1, -1, -1):
         _, stored, _, _ = children(groups, node)

@@ -178,12 +178,12 @@ def test_without_a_folder_to_write_to_kernels_are_compiled_in_each_process(tmp_p
 
 
 def test_types_are_read_as_they_are_written():
-    text = "uint8:2C, float64:1A, bool, int64, octex.field.tile_taps.Tables(uint64:1C, uint16:1C)"
+    text = "uint8:2C, float64:1A, bool, int64, octex.field.tile_taps.WindowTables(uint64:1C, uint16:1C)"
     assert types_text(read_types(text)) == text
     for wrong in (
         "gone",
         "octex.field.tile_taps.Gone(int64)",
-        "octex.field.tile_taps.Tables(int64)",
+        "octex.field.tile_taps.WindowTables(int64)",
         "int64:C",
     ):
         with pytest.raises((AttributeError, ImportError, ValueError)):

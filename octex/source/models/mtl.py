@@ -101,7 +101,7 @@ def _libraries(folder: Path, line: str) -> list[Path | None]:
         return [file]
     readings = [
         [find_beside(folder, name) for name in names]
-        for names in (line.split(), re.findall(r"\S.*?\.mtl\b", line))
+        for names in (line.split(), re.findall(r"\S.*?\.mtl\b", line, re.IGNORECASE))
     ]
     return max(readings, key=lambda files: len(files) - files.count(None))
 

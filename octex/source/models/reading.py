@@ -31,7 +31,7 @@ class Options(NamedTuple):
     materials: bool = True  # False: the surface is white, and no image is read
     channels: tuple[str, ...] | None = None  # None: every channel of the materials
     filter: str = "ewa"
-    overridden: tuple[str, ...] = ()  # overridden channels, whose images are not read
+    overridden: tuple[str, ...] = ()  # channels whose images are not read: others replace them
     normals: bool = False  # keep shading normals even without a normal map
     pose: str | None = None  # NAME@SECONDS of an animation; None: at rest
     finite: bool = False  # leave out triangles with vertices that are not finite, instead of refusing them

@@ -96,7 +96,9 @@ class _Scene:
         visible = self._visible()
         materials = {prim: self._materials_of(prim) for prim, _ in visible}
         has_frames = self._options.normals or any(
-            each.material.normal_slot is not None for _, of in materials.values() for each in of.values()
+            each.material.normal_slot is not None
+            for _, loaded in materials.values()
+            for each in loaded.values()
         )
         part_of = {prim: self._part(prim, *each, has_frames) for prim, each in materials.items()}
         parts = [part_of[p]._replace(matrix=matrix) for p, matrix in visible if len(part_of[p].triangles)]
