@@ -96,7 +96,7 @@ def written(path, mesh_type, log2, texels, **options):
     alone = np.full((3, 4), -1, np.int32)
     faces = peer.Faces(np.full((3, 2), log2, np.int8), alone, np.zeros((3, 4), np.uint8), np.zeros(3, bool))
     with workers(Run(threads=1)) as executor:
-        write_contents(peer.Contents(mesh_type, faces, texels, **options), path, executor)
+        write_contents(PtexContents(mesh_type, faces, texels, **options), path, executor)
     return path
 
 
