@@ -247,14 +247,14 @@ def _triangles(indices: Int64s, mode: int) -> Int64s:
     return np.stack([indices[first], indices[first + 1 + odd], indices[first + 2 - odd]], axis=1)
 
 
-class _Record(NamedTuple):
+class _JsonObject(NamedTuple):
     entry: Json
     name: str
 
-    def part(self, key: str) -> _Record:
+    def part(self, key: str) -> _JsonObject:
         """Return an inner object; an empty one if it is missing."""
         name = f"{self.name}.{key}"
-        return _Record(as_object(self.entry.get(key, {}), name), name)
+        return _JsonObject(as_object(self.entry.get(key, {}), name), name)
 
     def states(self, *keys: str) -> bool:
         """Say whether the file has any of the keys."""
@@ -298,18 +298,18 @@ def _materials(
     return materials
 
 
-def _material(document: Document, number: int | None) -> tuple[Material, dict[str, _Record]]:
+def _material(document: Document, number: int | None) -> tuple[Material, dict[str, _JsonObject]]:
     """Return a material without textures, and the file's references to these, by channel."""
-    record = _Record(
+    record = _JsonObject(
         {} if number is None else document.item("materials", number), f"{document.name}: materials[{number}]"
     )
     mode = record.entry.get("alphaMode", "OPAQUE")
     if mode not in _ALPHA_MODES:
         raise damaged(f"{record.name} has an unknown alphaMode {reprlib.repr(mode)}")
     inputs: dict[str, Input] = {}
-    uses: dict[str, _Record] = {}
+    uses: dict[str, _JsonObject] = {}
 
-    def add(name: str, entry: Input, holder: _Record, key: str) -> None:
+    def add(name: str, entry: Input, holder: _JsonObject, key: str) -> None:
         inputs[name] = entry
         if holder.states(key):
             uses[name] = holder.part(key)
@@ -369,7 +369,7 @@ def _material(document: Document, number: int | None) -> tuple[Material, dict[st
 
 
 def _texture(
-    document: Document, use: _Record, files: dict[str | int, tuple[bytes, str]]
+    document: Document, use: _JsonObject, files: dict[str | int, tuple[bytes, str]]
 ) -> tuple[str | int, int, int, bool, Slot]:
     """Return the image, wraps of u and v, flat texels and coordinates of a reference to a texture.
 
