@@ -316,7 +316,8 @@ class Projected(PaintSource):
         for shot in self.shots:
             counts = self._counts(shot)[touched]
             edges = flat.with_shots([shot]).texel_edges(touched)
-            large_ones = np.flatnonzero(outside & (counts >= (shot.seen.rows >= 0).sum() / (2 * _PIXELS)))
+            least = max((shot.seen.rows >= 0).sum() / (2 * _PIXELS), 1)
+            large_ones = np.flatnonzero(outside & (counts >= least))
             if large_ones.size:
                 triangles = touched[large_ones]
                 inner = self._inner_points(shot, triangles)

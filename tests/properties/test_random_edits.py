@@ -18,7 +18,7 @@ DTYPES = ("uint8", "float32")
 
 
 @needs_jit
-@pytest.mark.parametrize("seed", [*range(8), 772959, 9900198])
+@pytest.mark.parametrize("seed", [*range(8), 772959, 9900198, 20261135])
 def test_whatever_is_done_to_a_texture_it_stays_sound(seed):
     check(seed, DTYPES)
 
