@@ -341,8 +341,8 @@ def scene_nodes(
                 as_numbers(node[field], count, f"{document.name}: nodes[{number}]: {field}", _LIMIT)
         with np.errstate(over="ignore", invalid="ignore"):
             matrix = parent @ local_matrix(node)
-        yield number, node, matrix
         stack.extend((child, matrix) for child in reversed(_links(document, "nodes", number, "children")))
+        yield number, node, matrix
 
 
 def _links(document: Document, kind: str, number: Any, field: str) -> list[int]:
