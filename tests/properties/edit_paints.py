@@ -284,7 +284,7 @@ def draw_session(random, run):
 
 
 def draw_layers(random, run):
-    """Paint in two layers, hide and show the upper one, undo all and redo all: each brings back what was."""
+    """Paint in two layers; replace both, hide one, undo and redo all: each brings back what was."""
     steps = draw_fill(random, run), draw_paint(random, run)
     lines = []
     for step, name in zip(steps, ("low", "high"), strict=True):
@@ -294,6 +294,7 @@ def draw_layers(random, run):
         lines += [re.sub(r"^texture = octex\.(\w+)\(texture, surface, ", r"layers.\1(", single)]
         lines += [f"with_{name} = layers.texture()"]
     lines.insert(0, "layers = octex.Layers(texture, surface)")
+    lines += ["layers.replace(with_low)", "replaced = layers.texture()", "layers.undo()"]
     lines += ["layers.change_layer(high, is_visible=False)", "layers.change_layer(high, is_visible=True)"]
     lines += ["again = layers.texture()", "count = len(layers.strokes)"]
     lines += ["for _ in range(count): layers.undo()", "undone = layers.texture()"]
@@ -302,6 +303,7 @@ def draw_layers(random, run):
     def claim(run, before, after):
         names = run.names
         assert claims.digest(names["undone"]) == claims.digest(before), "layers undo otherwise"
+        assert claims.digest(names["replaced"]) == claims.digest(names["with_low"]), "layers replace otherwise"
         for each in after, names["again"]:
             assert claims.digest(each) == claims.digest(names["with_high"]), "layers are shown otherwise"
 
