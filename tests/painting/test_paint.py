@@ -325,6 +325,7 @@ def test_balance_makes_images_agree():
     assert mended < plain_error + 0.3 * (off - plain_error)
 
 
+@pytest.mark.usefixtures("few_points")
 def test_images_that_do_not_overlap_keep_their_gains():
     surface = plain(together(square(), (square()[0] + [5, 0, 0], square()[1])))
     shown = []
