@@ -23,14 +23,13 @@ from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import as_channels
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
-from octex.tree.placement import Placement
 from tests.conftest import needs_jit
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES
+from tests.make.small_textures import UNIT
 from tests.make.strategies import with_random_data
 from tests.oracles import naive
 
 ROUNDING = 1 / 8  # of samples, and what is allowed for that, in codes
-UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 
 
 def plane(depth):
@@ -331,14 +330,12 @@ def test_a_conversion_goes_as_deep_as_a_function_says():
     middles = full.placement.to_rest((decode_cells(right) + 0.5) / 64)
     right = right[middles[:, 0] > 0.52]
     assert np.isin(right, texture.tree.level_codes(6)).all()
-    coarse = np.flatnonzero(~texture.tree.is_node(3)) + texture.tree.arrays.level_cells[3]
-    np.testing.assert_array_equal(
-        texture.channels["base_color"].values[coarse],
-        full.channels["base_color"].values[: full.tree.arrays.level_cells[4]][
-            full.tree.arrays.level_cells[3]
-            + np.searchsorted(full.tree.level_codes(3), texture.tree.level_codes(3)[~texture.tree.is_node(3)])
-        ],
-    )
+    is_leaf = ~texture.tree.is_node(3)
+    coarse = np.flatnonzero(is_leaf) + texture.tree.arrays.level_cells[3]
+    same = np.searchsorted(full.tree.level_codes(3), texture.tree.level_codes(3)[is_leaf])
+    same += full.tree.arrays.level_cells[3]
+    found, expected = (each.channels["base_color"].values for each in (texture, full))
+    np.testing.assert_array_equal(found[coarse], expected[same])
 
 
 def test_provenance_says_how_a_tree_was_adapted():

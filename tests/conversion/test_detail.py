@@ -159,32 +159,23 @@ def test_a_rest_mesh_or_a_pose_without_area_has_no_stretch():
         levels("stretch", square(SQUARE * [1, 0, 0]))
 
 
-def test_a_cell_goes_as_deep_as_any_surface_in_it_wants():
-    def wanted(*_):
-        return np.array([3.0, 5.0, 2.2, 4.04])
+def deepest(wanted, flags, entries):
+    """How deep cells go that have these flags, and pieces in these entries of them."""
+    count = len(entries)
+    places = np.zeros(count, np.int32), np.full((count, 3), 1 / 3)
+    codes = np.array([4, 7][: len(flags)])
+    pieces = Fragments(codes, np.uint8(flags), np.int32(entries), *places, np.ones(count))
+    return list(deepest_wanted(wanted, pieces, np.zeros(count, np.float32)))
 
-    pieces = Fragments(
-        codes=np.array([4, 7]),
-        flags=np.array([0b110000, 0b000010], np.uint8),
-        entries=np.array([1, 0, 2, 2], np.int32),  # the first cell has two entries, one for each facing
-        triangles=np.zeros(4, np.int32),
-        barycentric=np.full((4, 3), 1 / 3),
-        areas=np.ones(4),
-    )
-    assert list(deepest_wanted(wanted, pieces, np.zeros(4, np.float32))) == [5, 4]
+
+def test_a_cell_goes_as_deep_as_any_surface_in_it_wants():
+    entries = [1, 0, 2, 2]  # the first cell has two, one for each facing
+    assert deepest(lambda *_: np.array([3.0, 5.0, 2.2, 4.04]), [0b110000, 0b000010], entries) == [5, 4]
 
 
 @pytest.mark.parametrize(
     ("code", "level"), [(255, 10), (134, 10), (128, 9), (64, 8), (65, 8), (1, 2), (0, 2)]
 )
 def test_halves_in_eight_bits_are_whole_levels(code, level):
-    surface = painted([code / 255] * 2)
-    pieces = Fragments(
-        codes=np.array([4]),
-        flags=np.array([1], np.uint8),
-        entries=np.zeros(1, np.int32),
-        triangles=np.zeros(1, np.int32),
-        barycentric=MIDDLES[:1],
-        areas=np.ones(1),
-    )
-    assert deepest_wanted(wanted_levels("wear", surface, DEPTH), pieces, NO_WIDTHS[:1]) == [level]
+    wanted = wanted_levels("wear", painted([code / 255] * 2), DEPTH)
+    assert deepest(wanted, [1], [0]) == [level]

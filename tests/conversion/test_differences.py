@@ -12,13 +12,7 @@ from hypothesis import strategies as st
 
 from octex.arrays import bit_counts
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, linear_to_srgb
-from octex.conversion.differences import (
-    Reference,
-    coefficients,
-    find_far,
-    near_nodes,
-    values_at_samples,
-)
+from octex.conversion.differences import Reference, coefficients, find_far, near_nodes, values_at_samples
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, POSITION_STEPS, Samples, lay_out
 from octex.jit import DISABLED, kernel, spline_box
@@ -26,12 +20,11 @@ from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
-from octex.tree.placement import Placement
+from tests.make.small_textures import UNIT
 from tests.make.strategies import with_random_data
 
 #: Each example makes two trees and looks up some 400 patches.
 few = settings(max_examples=1 if DISABLED else 15)
-UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 DEPTH = 4
 BETWEEN = 1.0  # codes that fields may be farther apart between samples
 

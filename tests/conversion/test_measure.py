@@ -5,9 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.channels import ALPHA, BASE_COLOR, EMISSIVE, NORMAL, ROUGHNESS, linear_to_srgb, srgb_to_linear
+from octex.channels import ALPHA, BASE_COLOR, NORMAL, ROUGHNESS, linear_to_srgb, srgb_to_linear
 from octex.conversion.measure import ErrorColumns, are_near, are_near_between, are_surely_near, subtract
 from octex.jit import kernel
+from tests.make.small_surfaces import LIGHT
 
 
 @kernel
@@ -41,7 +42,7 @@ def far(form, found, source, most):
     return far_rows(*rows, (form,), most)
 
 
-@pytest.mark.parametrize("form", [BASE_COLOR, EMISSIVE._replace(space="linear", dtype="float16")])
+@pytest.mark.parametrize("form", [BASE_COLOR, LIGHT])
 @given(st.floats(0, 1, width=32), st.floats(0, 255))
 def test_light_is_apart_by_codes_of_its_curve(form, light, code):
     other = srgb_to_linear(code / 255)
@@ -50,19 +51,18 @@ def test_light_is_apart_by_codes_of_its_curve(form, light, code):
     assert not far(form, light, other, apart + 1e-3)
 
 
-def test_light_above_one_is_apart_by_ratio():
-    form = EMISSIVE._replace(space="linear", dtype="float16")
-    expected = 255 * 1.055 / 2.4 * np.log(1.5)
-    assert not far(form, 6.0, 4.0, expected + 1e-3)
-    assert far(form, 6.0, 4.0, expected - 1e-3)
-    assert not far(form, 1.0 + 1e-6, 1.0 - 1e-6, 1e-3)
-
-
-def test_fractions_and_directions_are_apart_by_their_codes():
-    assert far(ROUGHNESS, 0.5, 0.5 + 2.01 / 255, 2)
-    assert not far(ROUGHNESS, 0.5, 0.5 + 1.99 / 255, 2)
-    assert far(NORMAL, -0.5, -0.5 + 2.01 / 127.5, 2)
-    assert not far(NORMAL, -0.5, -0.5 + 1.99 / 127.5, 2)
+@pytest.mark.parametrize(
+    ("form", "found", "source", "apart"),
+    [
+        (LIGHT, 6.0, 4.0, 255 * 1.055 / 2.4 * np.log(1.5)),  # above one by ratio
+        (ROUGHNESS, 0.5, 0.5 + 2 / 255, 2),
+        (NORMAL, -0.5, -0.5 + 2 / 127.5, 2),
+    ],
+)
+def test_bright_light_fractions_and_directions_are_apart_by_ratio_and_codes(form, found, source, apart):
+    assert far(form, found, source, apart - 1e-3)
+    assert not far(form, found, source, apart + 1e-3)
+    assert not far(LIGHT, 1.0 + 1e-6, 1.0 - 1e-6, 1e-3)
 
 
 def test_what_is_not_a_number_is_far_from_anything():

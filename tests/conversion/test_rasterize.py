@@ -8,6 +8,7 @@ from octex.cameras.camera import Camera
 from octex.parallel import pool_of
 from octex.view.zbuffer import z_buffer
 from tests.conftest import few, needs_jit
+from tests.make.painted import halved_quads
 from tests.oracles import naive_view
 
 
@@ -20,14 +21,6 @@ def _screen_camera(width, height):
 
 def _pinhole(width, height, focal):
     return Camera.pinhole((width, height), pose=np.eye(4), convention="opencv", focal=focal)
-
-
-def _grid(columns, rows):
-    """Vertex numbers of a grid of two triangles a cell, (columns + 1) · (rows + 1) vertices."""
-    i, j = np.meshgrid(np.arange(columns), np.arange(rows), indexing="ij")
-    a = (j * (columns + 1) + i).ravel()
-    b, c, d = a + 1, a + columns + 2, a + columns + 1
-    return np.vstack([np.column_stack([a, b, c]), np.column_stack([a, c, d])]).astype(np.int32)
 
 
 def _assert_like_rays(positions, triangles, camera):
@@ -85,7 +78,7 @@ def test_every_pixel_of_a_mesh_is_covered_exactly_once_folds_counted_with_their_
     screen = np.column_stack([x.ravel(), y.ravel()])
     inner = (screen > 0).all(axis=1) & (screen < size).all(axis=1)
     screen[inner] = np.round(random.uniform(-1, size + 1, (inner.sum(), 2)) / step) * step
-    triangles = _grid(columns, rows)
+    triangles = halved_quads(rows + 1, columns + 1)
     positions = np.column_stack([screen, np.ones(len(screen))])
     a, b, c = np.moveaxis(screen[triangles], 1, 0)
     sides = np.sign((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
@@ -110,7 +103,7 @@ def test_a_floor_under_the_camera_has_no_holes_and_no_pixel_twice(offset):
     floor = np.column_stack([x.ravel() + offset[0], np.full(x.size, 1.0), z.ravel() + offset[1]])
     pose = np.eye(4)
     pose[:3, 3] = -offset[0], 0.0, -offset[1]
-    triangles = _grid(n, n)
+    triangles = halved_quads(n + 1, n + 1)
     camera = Camera.pinhole(SIZE, pose=pose, convention="opencv", focal=SIZE[1] / 2)
     layers = [z_buffer(floor, triangle[None], camera).triangle == 0 for triangle in triangles]
     # The floor ends where its depth is 11.9.
@@ -169,7 +162,8 @@ def test_a_closed_surface_of_many_small_triangles_shows_only_its_front():
         [(np.cos(u) * np.sin(v)).ravel(), np.cos(v).ravel(), (np.sin(u) * np.sin(v)).ravel()]
     )
     camera = Camera.fitted(sphere, [1.0, 2.0, 3.0], size=(200, 200))
-    buffers = z_buffer(sphere, _grid(n, n), camera)
+    triangles = halved_quads(n + 1, n + 1)
+    buffers = z_buffer(sphere, triangles, camera)
     origins, directions = camera.rays(naive_view.pixel_centers(camera))
     toward = -np.einsum("nc,nc->n", origins, directions)
     miss = np.linalg.norm(origins + toward[:, None] * directions, axis=1).reshape(200, 200)
@@ -179,7 +173,7 @@ def test_a_closed_surface_of_many_small_triangles_shows_only_its_front():
     depth = distance * (directions @ camera.world_to_camera[2, :3]).reshape(200, 200)
     assert np.abs(buffers.depth - depth)[miss < 0.95].max() < 1e-3
     with pool_of(3) as pool:
-        spread = z_buffer(sphere, _grid(n, n), camera, pool)
+        spread = z_buffer(sphere, triangles, camera, pool)
     for of_bands, whole in zip(spread, buffers, strict=True):
         assert np.array_equal(of_bands, whole)
 

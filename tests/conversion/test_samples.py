@@ -3,11 +3,7 @@
 import numpy as np
 
 from octex.arrays import bit_counts
-from octex.channels import (
-    ALPHA,
-    METALLIC,
-    ROUGHNESS,
-)
+from octex.channels import ALPHA, METALLIC, ROUGHNESS
 from octex.conversion.samples import POSITION_STEPS, SHARE_STEPS, sample_points
 from octex.source.base import Combined
 from octex.source.surface import Surface

@@ -1,6 +1,7 @@
 """Parts moved apart at rest: no cell is shared, colours stay, and files remember it."""
 
 import json
+from functools import cache
 
 import numpy as np
 import PIL.Image
@@ -27,6 +28,17 @@ from tests.make.solids import colored, cube, open_cube, sphere
 
 def pair():
     return colored(cube([0, 0, 0]), cube([0.6, 0.3, 0.2], 0.5))
+
+
+#: Two spheres that intersect.
+SPHERES = sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8)
+
+
+@cache
+def spheres(depth):
+    """The spheres, and a texture for which they were moved apart."""
+    surface = colored(*SPHERES)
+    return surface, octex.convert(surface, depth, separate=3)
 
 
 def cells_of(surface, texture, parts, **options):
@@ -120,15 +132,15 @@ def test_sources_give_what_they_gave():
 
 
 def test_margins_and_overlaps_that_do_not_fit_are_refused():
-    surface = pair()
-    with pytest.raises(ArgumentError, match="margin must be finite and above zero"):
-        surface.separated(0.0)
-    with pytest.raises(ArgumentError, match=r"overlaps were computed with a margin of 0\.05"):
-        surface.separated(0.1, surface.overlapping_parts(0.05))
-    with pytest.raises(ArgumentError, match="or for another surface"):
-        surface.separated(0.1, colored(cube([0, 0, 0])).overlapping_parts(0.1))
-    with pytest.raises(ArgumentError, match="parts is separated already"):
-        surface.separated(0.1).separated(0.2)
+    surface, other = pair(), colored(cube([0, 0, 0]))
+    for each, options, message in (
+        (surface, (0.0,), "margin must be finite and above zero"),
+        (surface, (0.1, surface.overlapping_parts(0.05)), r"overlaps were computed with a margin of 0\.05"),
+        (surface, (0.1, other.overlapping_parts(0.1)), "or for another surface"),
+        (surface.separated(0.1), (0.2,), "parts is separated already"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            each.separated(*options)
 
 
 def test_a_group_finds_the_place_where_the_whole_grows_least():
@@ -182,9 +194,9 @@ def test_numbers_out_of_range_are_refused(options, message):
 
 @needs_jit
 def test_colours_do_not_run_together():
-    surface = colored(sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
+    surface, texture = spheres(6)
     assert worst(surface, octex.convert(surface, 6)) > 4
-    assert worst(surface, octex.convert(surface, 6, separate=3)) < 0.5
+    assert worst(surface, texture) < 0.5
 
 
 @needs_jit
@@ -253,7 +265,7 @@ def test_functions_of_detail_get_positions_as_they_were():
 
 @needs_jit
 def test_the_paint_command_finds_the_parts(tmp_path, cli):
-    model = written(tmp_path, sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
+    model = written(tmp_path, *SPHERES)
     octex.convert(model, 5, separate=3).save(tmp_path / "a.octex")
     seen, eye = tmp_path / "a.png", tmp_path / "a.json"
     both = [tmp_path / "a.octex", model]
@@ -304,8 +316,7 @@ def test_metadata_that_cannot_be_read_are_refused(text):
 
 @needs_jit
 def test_images_are_drawn_where_the_texture_is():
-    surface = colored(sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
-    texture = octex.convert(surface, 6, separate=3)
+    surface, texture = spheres(6)
     drawn = draw_preview(texture, surface, (200, 100), 1).astype(int)
     assert np.abs(drawn[:70, :100] - drawn[:70, 100:]).max() < 12
     found = difference(surface, texture, points=10_000)
@@ -326,8 +337,7 @@ def test_textures_with_other_places_for_parts_are_not_compared():
 
 @needs_jit
 def test_paint_lands_where_the_texture_is():
-    surface = colored(sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
-    texture = octex.convert(surface, 5, separate=3)
+    surface, texture = spheres(5)
     placed = surface.placed_in(texture)
     camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(64, 64))
     image = octex.Projection(np.full((64, 64, 3), 255, np.uint8), camera)
@@ -407,18 +417,16 @@ def test_many_moved_parts_are_not_all_listed(tmp_path, cli):
 
 
 def test_bad_words_are_refused(tmp_path, cli):
-    model = written(tmp_path, cube([0, 0, 0]))
-    said = cli.refusal("--separate=far", model, tmp_path / "a.octex")
-    assert "'far' is not a number" in said
-    assert "0.5 is not a number of cells from 1 to a million" in cli.refusal(
-        model, "a.octex", "--separate", 0.5
-    )
-    assert "--margin is an option of octex overlaps, not of octree-convert" in cli.refusal(
-        model, "a.octex", "--margin", 1
-    )
-    assert "--separate is an option of octex convert, not of octex overlaps" in cli.refusal(
-        "overlaps", model, "--separate"
-    )
-    octex.convert(pair(), 3).save(tmp_path / "b.octex")
-    said = cli.refusal(tmp_path / "b.octex", tmp_path / "c.octex", "--separate", 3)
-    assert "--separate needs the model" in said
+    model, made = written(tmp_path, cube([0, 0, 0])), tmp_path / "b.octex"
+    octex.convert(pair(), 3).save(made)
+    for words, message in (
+        (("--separate=far", model, "a.octex"), "'far' is not a number"),
+        ((model, "a.octex", "--separate", 0.5), "0.5 is not a number of cells from 1 to a million"),
+        ((model, "a.octex", "--margin", 1), "--margin is an option of octex overlaps, not of octree-convert"),
+        (
+            ("overlaps", model, "--separate"),
+            "--separate is an option of octex convert, not of octex overlaps",
+        ),
+        ((made, tmp_path / "c.octex", "--separate", 3), "--separate needs the model"),
+    ):
+        assert message in cli.refusal(*words)

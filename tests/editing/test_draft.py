@@ -21,15 +21,20 @@ from tests.properties import edit_models
 CHANNELS = (["base_color"], ["base_color", "alpha"], ["base_color", "alpha", "roughness", "normal"])
 
 
-@given(textures(), st.data())
-def test_what_is_cut_out_is_put_back_as_it_was(texture, data):
-    if texture.tree.max_depth < 1:
-        return
-    level = data.draw(st.integers(1, texture.tree.max_depth), label="level")
+@st.composite
+def textures_and_tiles(draw):
+    """A texture, and some cells of a level below its root."""
+    texture = draw(textures().filter(lambda each: each.tree.max_depth >= 1))
+    level = draw(st.integers(1, texture.tree.max_depth), label="level")
     codes = texture.tree.level_codes(level)
-    chosen = data.draw(st.sets(st.integers(0, len(codes) - 1), max_size=6), label="tiles")
-    tiles = OpenTiles(level, codes[sorted(chosen)])
-    part = cut_out(texture, tiles)
+    chosen = draw(st.sets(st.integers(0, len(codes) - 1), max_size=6), label="tiles")
+    return texture, OpenTiles(level, codes[sorted(chosen)])
+
+
+@given(textures_and_tiles())
+def test_what_is_cut_out_is_put_back_as_it_was(drawn):
+    texture, tiles = drawn
+    level, part = tiles.level, cut_out(texture, tiles)
     part.tree.validate()
     assert_same(put_back(texture, tiles, part), texture)
     below = part.tree.n_cells - int(part.tree.arrays.level_cells[min(level, part.tree.max_depth) + 1])
@@ -40,15 +45,9 @@ def test_what_is_cut_out_is_put_back_as_it_was(texture, data):
     assert below == whole
 
 
-@given(textures(), st.data())
-def test_a_change_of_values_alone_is_put_into_the_texture_as_any_draft_is(texture, data):
-    if texture.tree.max_depth < 1:
-        return
-    level = data.draw(st.integers(1, texture.tree.max_depth), label="level")
-    codes = texture.tree.level_codes(level)
-    chosen = data.draw(st.sets(st.integers(0, len(codes) - 1), max_size=6), label="tiles")
-    arrays = data.draw(st.sets(st.sampled_from(["values", "kept_values", "split_values"])), label="arrays")
-    tiles = OpenTiles(level, codes[sorted(chosen)])
+@given(textures_and_tiles(), st.sets(st.sampled_from(["values", "kept_values", "split_values"])))
+def test_a_change_of_values_alone_is_put_into_the_texture_as_any_draft_is(drawn, arrays):
+    texture, tiles = drawn
     part = cut_out(texture, tiles)
     channels = {
         name: channel._replace(**{each: getattr(channel, each)[::-1].copy() for each in arrays})

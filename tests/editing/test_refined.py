@@ -17,19 +17,13 @@ from octex.texture import Channel, OctreeTexture
 from octex.tree.edit import raised
 from octex.tree.octree import Octree
 from tests.make.small_textures import UNIT, UNIT_BOUNDS
-from tests.make.strategies import leaf_sets, points_around, with_random_data
+from tests.make.strategies import leaf_sets, points_around, random_channel, with_random_data
+from tests.make.taps import spread
 from tests.oracles import naive
 
 Codes = npt.NDArray[np.int64]
 HEIGHT = ChannelFormat("height", 2, "data", "float32")
 seeds = st.integers(0, 2**32 - 1)
-
-
-def spread(starts, rows, weights, n_rows):
-    """The weights by cell and row (cells, rows)."""
-    found = np.zeros((starts.size - 1, n_rows))
-    np.add.at(found, (np.repeat(np.arange(starts.size - 1), np.diff(starts)), rows), weights)
-    return found
 
 
 class Drawn(NamedTuple):
@@ -126,9 +120,7 @@ def test_cells_found_in_several_batches_are_those_found_at_once(monkeypatch):
 
 
 def textured(tree, seed):
-    random = np.random.default_rng(seed)
-    rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-    channel = Channel(HEIGHT, *(random.random((count, 2), np.float32) for count in rows))
+    channel = random_channel(HEIGHT, tree, np.random.default_rng(seed))
     return OctreeTexture(tree, {"height": channel}, UNIT, UNIT_BOUNDS)
 
 

@@ -20,7 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.field.blend import blend
-from octex.field.field import Field, Finder, NotFiniteError
+from octex.field.field import Field, Finder
 from octex.field.splines import FILTERS
 from octex.field.taps import Codes, to_coordinates
 from octex.field.tiles import CACHE_LINE, build_tiles
@@ -29,11 +29,11 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
 from tests.conftest import needs_jit
+from tests.make.small_textures import UNIT
 from tests.make.strategies import Leaves, leaf_sets, points_around, with_random_data
-from tests.make.taps import taps_of
+from tests.make.taps import spread, taps_of
 from tests.oracles import naive
 
-UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 each_filter = pytest.mark.parametrize("filter", FILTERS[1:])
 
 
@@ -55,14 +55,6 @@ def trees_and_points(draw):
     return Drawn(tree, np.round(np.array(points) * 2.0**24) / 2.0**24)
 
 
-def spread(taps, column, n_rows):
-    """A column of the taps by point and row (points, rows); a row may have several taps."""
-    points = taps.starts.size - 1
-    spread = np.zeros((points, n_rows))
-    np.add.at(spread, (np.repeat(np.arange(points), np.diff(taps.starts)), taps.rows), column)
-    return spread
-
-
 def blended(taps, values):
     terms = taps.weights[:, None].astype(np.float64) * values[taps.rows]
     return np.add.reduceat(terms, taps.starts[:-1])
@@ -78,14 +70,15 @@ def test_weights_and_slopes_are_those_of_the_reference(filter, drawn):
     with_slopes = taps_of(Field(tree), points, UNIT, filter, gradient=True)
     expected = np.array([field.at(point) for point in points.tolist()])
     for taps in (plain, with_slopes):
-        np.testing.assert_allclose(spread(taps, taps.weights, n_rows), expected, rtol=0, atol=1e-6)
+        found = spread(taps.starts, taps.rows, taps.weights, n_rows)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
     edge = 2.0**-tree.max_depth
     for axis, direction in enumerate(np.eye(3).tolist()):
         slopes = [
             field.derivatives(point, direction, 1)[1] * edge * (0 < point[axis] < 1)  # clamped outside
             for point in points.tolist()
         ]
-        found = spread(with_slopes, with_slopes.slopes[:, axis], n_rows) * edge
+        found = spread(with_slopes.starts, with_slopes.rows, with_slopes.slopes[:, axis], n_rows) * edge
         np.testing.assert_allclose(found, slopes, rtol=0, atol=1e-5)
     assert plain.slopes.shape == (0, 3)
 
@@ -243,16 +236,6 @@ def test_no_points_have_no_taps(filter):
         taps = taps_of(Field(shell(3, 3)), np.empty((0, 3)), UNIT, filter, gradient=gradient)
         assert taps.starts.tolist() == [0]
         assert taps.rows.size == taps.weights.size == len(taps.slopes) == 0
-
-
-@pytest.mark.parametrize("gradient", [False, True])
-@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_a_point_that_is_not_finite_is_named(wrong, gradient):
-    points = np.full((40, 3), 0.5)
-    points[[23, 31], 1] = wrong
-    with pytest.raises(NotFiniteError, match=r"points\[23\]") as caught:
-        taps_of(Field(shell(3, 3)), points, UNIT, gradient=gradient)
-    assert caught.value.row == 23
 
 
 def off_the_surface(depth=6):

@@ -91,16 +91,15 @@ def test_rows_are_of_cells_then_kept_nodes_then_facings_and_can_be_asked_for_one
 
 def test_taps_refuse_what_sample_refuses():
     texture, points = eight_colors(), np.full((3, 3), 0.5)
-    with pytest.raises(ArgumentError, match=r"points must be finite, but points\[1\]"):
-        texture.taps([[0, 0, 0], [0, np.nan, 0]])
-    with pytest.raises(ArgumentError, match=r"points must be finite, but points\[1\]"):
-        texture.taps([[0, 0, 0], [0, np.inf, 0]], width=0.1)
-    with pytest.raises(ArgumentError, match=r"normals must be finite, but normals\[0\]"):
-        texture.taps(points, normals=np.full((3, 3), np.nan))
-    with pytest.raises(ArgumentError, match="unknown channel 'gloss'"):
-        texture.taps(points, "gloss")
-    with pytest.raises(ArgumentError, match="unknown filter"):
-        texture.taps(points, filter="cubic")
+    for options, message in (
+        ({"points": [[0, 0, 0], [0, np.nan, 0]]}, r"points must be finite, but points\[1\]"),
+        ({"points": [[0, 0, 0], [0, np.inf, 0]], "width": 0.1}, r"points must be finite, but points\[1\]"),
+        ({"normals": np.full((3, 3), np.nan)}, r"normals must be finite, but normals\[0\]"),
+        ({"channel": "gloss"}, "unknown channel 'gloss'"),
+        ({"filter": "cubic"}, "unknown filter"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            texture.taps(**{"points": points, **options})
 
 
 @pytest.mark.parametrize("seed", SEEDS)

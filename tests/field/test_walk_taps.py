@@ -22,15 +22,7 @@ each_filter = pytest.mark.parametrize("filter", FILTERS[1:])
 
 class Drawn(NamedTuple):
     tree: Octree
-    cells: list[naive.Cell]
     points: npt.NDArray[np.float64]
-
-    def field(self, filter):
-        """A field whose values are the weights of the rows."""
-        kept_cells = self.tree.kept.cells.tolist()
-        n_cells = len(self.cells)
-        kept = {cell: n_cells + row for row, cell in enumerate(kept_cells)}
-        return naive.Field(self.cells, np.eye(n_cells + len(kept)), filter, kept)
 
 
 @st.composite
@@ -38,7 +30,7 @@ def trees_and_points(draw):
     leaves = draw(leaf_sets())
     tree = with_random_data(Octree.from_leaves(*leaves), draw(st.integers(0, 2**32 - 1)))
     points = np.array(draw(st.lists(points_around(leaves), min_size=1, max_size=3)))
-    return Drawn(tree, naive.cells_of(leaves.places()), points.clip(0, 1) + 1 - 1)  # whole 2⁻⁵²
+    return Drawn(tree, points.clip(0, 1) + 1 - 1)  # whole 2⁻⁵²
 
 
 class Taps(NamedTuple):
@@ -86,7 +78,7 @@ def taps(arrays, kept_cells, points, filter, walk=None, *, room=MOST_TAPS, gradi
 @given(trees_and_points())
 def test_taps_are_what_the_field_is_made_of(filter, drawn):
     found = taps(drawn.tree.arrays, drawn.tree.kept.cells, drawn.points, filter)
-    field = drawn.field(filter)
+    field = naive.field_of(drawn.tree, filter)
     edge = 2.0**-drawn.tree.max_depth
     for n, point in enumerate(drawn.points.tolist()):
         by_axis = [field.derivatives(point, axis, 1) for axis in np.eye(3).tolist()]

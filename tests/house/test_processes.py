@@ -132,25 +132,19 @@ FUNCTIONS = {
     "TextureSet.sample": lambda run, _: TextureSet({"a": adaptive(1), "b": adaptive(2)}).sample(
         POINTS, np.arange(len(POINTS)) % 2, run=run
     ),
-    "TextureSet.contains": lambda run, _: TextureSet({"a": adaptive(1)}).contains(
-        POINTS, "a", run=run
-    ),
+    "TextureSet.contains": lambda run, _: TextureSet({"a": adaptive(1)}).contains(POINTS, "a", run=run),
     "bake": lambda run, _: octex.bake(painted(), SURFACE, texture_size=256, run=run),
     "blur": lambda run, _: octex.blur(adaptive(1), 0.3, run=run),
     "combine": lambda run, _: octex.combine(adaptive(1), adaptive(2), run=run),
     "combine, over": lambda run, _: octex.combine(adaptive(1), adaptive(2), over=True, run=run),
     "convert": lambda run, _: octex.convert(SURFACE, 5, run=run),
     "convert, max_error": lambda run, _: octex.convert(SURFACE, 5, max_error=8, run=run),
-    "convert, path": lambda run, folder: octex.convert(
-        SURFACE, 5, path=folder / "a.octex", run=run
-    ),
+    "convert, path": lambda run, folder: octex.convert(SURFACE, 5, path=folder / "a.octex", run=run),
     "convert, thin": lambda run, _: octex.convert(bent(0.03), 5, run=run),
     "convert_set": lambda run, _: octex.convert_set({"a": SURFACE, "b": bent(0.03)}, 4, run=run),
     "fill": lambda run, _: octex.fill(None, SURFACE, SPHERE, (1, 0, 0), max_depth=7, run=run),
     "finish": lambda run, _: octex.finish(SURFACE, painted(), texture_size=64, run=run),
-    "fill, finer": lambda run, _: octex.fill(
-        painted(), SURFACE, SPHERE, (1, 0, 0), max_depth=6, run=run
-    ),
+    "fill, finer": lambda run, _: octex.fill(painted(), SURFACE, SPHERE, (1, 0, 0), max_depth=6, run=run),
     "merge": lambda run, _: octex.merge(
         painted(), octex.project(SURFACE, shots(1), like=painted()), SURFACE, run=run
     ),

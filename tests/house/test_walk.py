@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 import octex
-from octex.channels import ChannelFormat
-from octex.texture import Channel, OctreeTexture
+from octex.channels import ALPHA
 from tests.conftest import needs_jit
 from tests.make.painted import ball
-from tests.make.small_textures import shell, unit
+from tests.make.small_textures import shell, unit, with_channel
 
 ROOT = Path(octex.__file__).parent
 DIRECTIONS = unit(np.random.default_rng(0).normal(size=(100, 3)))
@@ -63,19 +62,10 @@ def _is_kernel(code):
     return hasattr(getattr(module, code.co_name, None), "py_func")
 
 
-def with_alpha(texture):
-    values, split_values, kept_values = (
-        np.full((len(array), 1), 200, np.uint8) for array in texture.channels["base_color"][1:]
-    )
-    alpha = Channel(ChannelFormat("alpha", 1, "data", "uint8"), values, split_values, kept_values)
-    channels = {**texture.channels, "alpha": alpha}
-    return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds)
-
-
 TEXTURES = {
     "even": lambda: shell(5, keep=0.0),
     "with kept nodes": lambda: shell(5),
-    "with alpha": lambda: with_alpha(shell(5, keep=0.0)),
+    "with alpha": lambda: with_channel(shell(5, keep=0.0), ALPHA, 200),
 }
 
 

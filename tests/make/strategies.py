@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from octex.arrays import bit_counts
 from octex.channels import ALPHA, COLOR_SPACES, ONE, ChannelFormat
 from octex.texture import Channel, OctreeTexture
+from octex.texture.channel import row_counts
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -105,6 +106,12 @@ def random_values(shape: tuple[int, int], dtype: str, random: np.random.Generato
     return random.random(shape).astype(dtype)
 
 
+def random_channel(form: ChannelFormat, tree: Octree, random: np.random.Generator) -> Channel:
+    """Random values for all rows of a tree."""
+    rows = (random_values((count, form.components), form.dtype, random) for count in row_counts(tree))
+    return Channel(form, *rows)
+
+
 @st.composite
 def textures(draw: st.DrawFn, deepest: int = naive.MAX_DEPTH) -> OctreeTexture:
     """Textures of one to three channels of any type; the first may be alpha, zero here and there."""
@@ -120,11 +127,10 @@ def textures(draw: st.DrawFn, deepest: int = naive.MAX_DEPTH) -> OctreeTexture:
         else:
             space = draw(st.sampled_from(COLOR_SPACES))
             form = ChannelFormat(f"channel {number}", draw(st.integers(1, 4)), space, dtype)
-        rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-        values = [random_values((count, form.components), dtype, random) for count in rows]
+        channels[form.name] = random_channel(form, tree, random)
         if form.name == "alpha":
-            values = [array * (random.random(array.shape) < 0.7) for array in values]
-        channels[form.name] = Channel(form, *values)
+            values = [array * (random.random(array.shape) < 0.7) for array in channels["alpha"][1:]]
+            channels["alpha"] = Channel(form, *values)
     placement = Placement(tuple(random.normal(size=3).tolist()), float(random.random() + 0.1))
     low = placement.to_rest(np.zeros((1, 3)))
     return OctreeTexture(

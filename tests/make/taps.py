@@ -23,6 +23,13 @@ class ListedTaps(NamedTuple):
     covers: Float32s  # (points,)   how much of the spline's weight falls on leaves; 0 off the surface
 
 
+def spread(starts: Int64s, rows: Uint32s | Int64s, column: Floats | Float32s, n_rows: int) -> Floats:
+    """Return a column of taps by point and row (points, rows); a row may have several taps."""
+    found = np.zeros((starts.size - 1, n_rows))
+    np.add.at(found, (np.repeat(np.arange(starts.size - 1), np.diff(starts)), rows), column)
+    return found
+
+
 def taps_of(
     field: Field, points: Floats, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
 ) -> ListedTaps:

@@ -122,7 +122,8 @@ OFFSETS = (-1, 0, 1)
 
 
 def shifted(place: Sequence[int], bits: int) -> tuple[int, ...]:
-    return tuple(coordinate >> bits for coordinate in place)
+    x, y, z = place
+    return x >> bits, y >> bits, z >> bits
 
 
 def srgb_to_linear(encoded: float) -> float:
@@ -150,6 +151,7 @@ class Field:
         self.nothing = np.zeros(self.values.shape[1])
         self.coefficient = cache(self._coefficient)
         self.window = cache(self._window)
+        self.divided = cache(self._divided)
         self.meets_node = cache(self._meets_node)
         self.truncated = cache(self._truncated)
 
@@ -250,9 +252,13 @@ class Field:
         parent = shifted(place, 1)
         if self.filter == "linear" and not self.coefficient(level - 1, parent)[-1]:
             return self.nothing
-        weights = tensor_product(self.filter, tuple(i & 1 for i in place))
-        total = weights @ self.window(level - 1, parent, 1).reshape(27, -1)
+        x, y, z = place
+        total = self.divided(level - 1, parent)[(x & 1) << 2 | (y & 1) << 1 | z & 1]
         return total / total[-1] if self.filter == "linear" else total
+
+    def _divided(self, level: int, place: tuple[int, ...]) -> Floats:
+        """What a cell's eight children are refined to, x slowest."""
+        return tensor_products(self.filter) @ self.window(level, place, 1).reshape(27, -1)
 
     def _answering(self, point: Sequence[float]) -> tuple[Field | None, list[float]]:
         """The field of the deepest levels with any weight at a point, and the nearest point of the root."""
@@ -277,10 +283,10 @@ REFINEMENTS = {
 
 
 @cache
-def tensor_product(filter: str, octant: tuple[int, ...]) -> Floats:
-    """The weights of the 27 cells around its parent in a cell, x slowest."""
-    x, y, z = (REFINEMENTS[filter][upper] for upper in octant)
-    return np.kron(np.kron(x, y), z)
+def tensor_products(filter: str) -> Floats:
+    """The weights of the 27 cells around a cell in each of its eight children, x slowest."""
+    by_axis = REFINEMENTS[filter]
+    return np.kron(np.kron(by_axis, by_axis), by_axis)
 
 
 def field_of(tree: Octree, filter: str, values: npt.ArrayLike | None = None) -> Field:

@@ -11,8 +11,8 @@ import numpy.typing as npt
 from octex.arrays import bit_counts
 from octex.channels import ChannelFormat, decode, encode
 from octex.editing.refined import refined_values
-from octex.texture import Channel, OctreeTexture
-from tests.oracles.naive_processing import AREAS, Cell, Place, cells_of, children_of
+from octex.texture import OctreeTexture
+from tests.oracles.naive_processing import AREAS, Cell, Place, cells_of, children_of, mean_below
 
 Floats = npt.NDArray[np.floating[Any]]
 
@@ -56,8 +56,7 @@ def expected_averages(
             below = [now[each].number for each in children_of(now, place)]
             if not below:
                 continue
-            alphas = None if name == "alpha" else after.channels.get("alpha")
-            mean = _mean(values[below], _shares(after, below, alphas))
+            mean = mean_below(after, name, now, place)
             residual = _residual(before, name, place, then, now, after, was)
             own = [residual, *(_of_node(*sheet, name, place) for sheet in sheets if name != "alpha")]
             bounds.low[cell.number], bounds.high[cell.number] = _around(mean, own)
@@ -107,13 +106,6 @@ def _assert_between(form: ChannelFormat, stored: Any, low: Floats, high: Floats,
         assert outside[at] <= 0, (
             f"{what} {at}: {stored[at]} by {outside[at]} outside of {low[at]}, {high[at]}"
         )
-
-
-def _shares(texture: OctreeTexture, cells: Sequence[int], alphas: Channel | None) -> Floats:
-    areas = np.array([AREAS[texture.tree.arrays.areas[cell]] for cell in cells])
-    if alphas is None:
-        return areas
-    return np.asarray(areas * np.maximum(decode(alphas.values[list(cells)], "data")[:, 0], 2.0**-40))
 
 
 def _mean(values: Floats, shares: Floats) -> Floats:
@@ -174,7 +166,7 @@ def _residual(
     if place in then and not then[place].is_leaf:
         return _of_node(before, then, name, place)
     places = children_of(now, place)
-    shares = _shares(after, [now[each].number for each in places], None)
+    shares = AREAS[after.tree.arrays.areas[[now[each].number for each in places]]]
     if weighs:
         space = before.channels["alpha"].format.space
         alphas = np.array([decode(np.asarray(was[each]["alpha"]), space)[0] for each in places])
@@ -191,14 +183,10 @@ def _around(mean: Floats, residuals: Sequence[Floats]) -> tuple[Floats, Floats]:
 
 def _of_node(texture: OctreeTexture, cells: dict[Place, Cell], name: str, place: Place) -> Floats:
     """The residual of a node; nothing where there is none."""
-    components = texture.channels[name].format.components if name in texture.channels else 1
-    below = [cells[each].number for each in children_of(cells, place)] if place in cells else []
-    if name not in texture.channels or not below:
-        return np.zeros(components)
+    if name not in texture.channels or place not in cells or not children_of(cells, place):
+        return np.zeros(texture.channels[name].format.components if name in texture.channels else 1)
     channel = texture.channels[name]
-    alphas = None if name == "alpha" else texture.channels.get("alpha")
-    values = decode(channel.values[below], channel.format.space).astype(np.float64)
-    mean = _mean(values, _shares(texture, below, alphas))
+    mean = mean_below(texture, name, cells, place)
     return _less(channel.format, channel.values[cells[place].number], mean)
 
 

@@ -15,7 +15,7 @@ from octex.tree.morton import decode_cells
 Place = tuple[int, int]  # level, Morton code
 Floats = npt.NDArray[np.floating[Any]]
 
-AREAS = [2.0**-44, *(2.0 ** ((code - 207) / 8) for code in range(1, 256))]
+AREAS = np.array([2.0**-44, *(2.0 ** ((code - 207) / 8) for code in range(1, 256))])
 
 
 class Cell(NamedTuple):
@@ -36,18 +36,15 @@ def children_of(cells: dict[Place, Cell], place: Place) -> list[Place]:
     return [below for octant in range(8) if (below := (level + 1, code << 3 | octant)) in cells]
 
 
-def coverage(texture: OctreeTexture, name: str, number: int) -> float:
-    if "alpha" not in texture.channels or name == "alpha":
-        return 1.0
-    alpha = texture.channels["alpha"]
-    return max(float(decode(alpha.values[number : number + 1], "data")[0, 0]), 2.0**-40)
-
-
 def mean_below(texture: OctreeTexture, name: str, cells: dict[Place, Cell], place: Place) -> Floats:
     """The mean of the children of a node, weighed by area and alpha."""
     channel = texture.channels[name]
     numbers = [cells[below].number for below in children_of(cells, place)]
-    weights = np.array([AREAS[texture.tree.arrays.areas[n]] * coverage(texture, name, n) for n in numbers])
+    weights = AREAS[texture.tree.arrays.areas[numbers]]
+    if "alpha" in texture.channels and name != "alpha":
+        weights = weights * np.maximum(
+            decode(texture.channels["alpha"].values[numbers], "data")[:, 0], 2.0**-40
+        )
     values = decode(channel.values[numbers], channel.format.space).astype(np.float64)
     return np.asarray((values * weights[:, None]).sum(axis=0) / weights.sum())
 

@@ -7,12 +7,13 @@ def trace(origins, directions, positions, triangles):
     """Nearest triangle of each ray: numbers (n,), barycentric (n, 3), distances (n,); else −1, 0, inf."""
     best = np.full(len(origins), -1), np.zeros((len(origins), 3)), np.full(len(origins), np.inf)
     for number, (a, b, c) in enumerate(np.asarray(positions, np.float64)[triangles]):
-        # origin + t · direction = a + v · (b − a) + w · (c − a)
-        matrices = np.stack(np.broadcast_arrays(b - a, c - a, -directions), axis=2)
-        solvable = np.linalg.det(matrices) != 0.0
-        matrices[~solvable] = np.eye(3)
-        v, w, t = np.linalg.solve(matrices, (origins - a)[:, :, None])[:, :, 0].T
-        hit = solvable & (v >= 0.0) & (w >= 0.0) & (v + w <= 1.0) & (t > 0.0) & (t < best[2])
+        # origin + t · direction = a + v · (b − a) + w · (c − a); not a number along the triangle's plane
+        normal = np.cross(b - a, c - a)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            t = (a - origins) @ normal / (directions @ normal)
+            inside = (origins - a + t[:, None] * directions) / (normal @ normal)
+            v, w = inside @ np.cross(c - a, normal), inside @ np.cross(normal, b - a)
+        hit = (v >= 0.0) & (w >= 0.0) & (v + w <= 1.0) & (t > 0.0) & (t < best[2])
         best[0][hit] = number
         best[1][hit] = np.column_stack([1.0 - v - w, v, w])[hit]
         best[2][hit] = t[hit]

@@ -306,12 +306,7 @@ def test_images_of_other_blend_modes_are_merged_one_after_another():
     images = [octex.Projection(one_color(camera, color, 0.5), camera, blend=blend) for blend, color in steps]
     expected = np.array([[0.5, 0.5, 0.5]], np.float32)
     for blend, color in steps:
-        expected = blended(
-            expected,
-            np.array([color], np.float32),
-            np.array([0.5], np.float32),
-            blend,
-        )
+        expected = blended(expected, np.array([color], np.float32), np.array([0.5], np.float32), blend)
     found = octex.paint(texture, surface, images, max_depth=4).sample(on_square(50, 0.3))
     np.testing.assert_allclose(found, np.tile(expected, (50, 1)), atol=2e-3)
 
@@ -330,6 +325,7 @@ def test_balance_makes_images_agree():
     assert mended < plain_error + 0.3 * (off - plain_error)
 
 
+@pytest.mark.usefixtures("few_points")
 def test_images_that_do_not_overlap_keep_their_gains():
     surface = plain(together(square(), (square()[0] + [5, 0, 0], square()[1])))
     shown = []
@@ -357,9 +353,8 @@ def test_what_makes_no_sense_is_refused():
     ):
         with pytest.raises(ArgumentError, match=message):
             octex.paint(texture, surface, good, **options)
-    with pytest.raises(ArgumentError, match="unknown channel 'colour'"):
-        octex.paint(None, surface, good, channel="colour")
-    with pytest.raises(ArgumentError, match='alpha is painted with blend="erase"'):
-        octex.paint(None, surface, good, channel="alpha")
+    for channel, message in (("colour", "unknown channel 'colour'"), ("alpha", 'painted with blend="erase"')):
+        with pytest.raises(ArgumentError, match=message):
+            octex.paint(None, surface, good, channel=channel)
     with pytest.raises(ArgumentError, match=r"out of the texture's root cell .* belongs to another model"):
         octex.paint(texture, ball(radius=3.0), good)

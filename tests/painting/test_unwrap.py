@@ -198,14 +198,20 @@ def test_vertices_at_one_place_are_one():
 
 
 def test_what_cannot_be_unwrapped_is_refused():
-    with pytest.raises(ModelError, match="farther than the radius"):
-        octex.unwrap(ball(12), (5, 0, 0), 1.0)
-    with pytest.raises(ArgumentError, match="radius"):
-        octex.unwrap(ball(12), (1, 0, 0), 0.0)
-    with pytest.raises(ArgumentError, match="unknown method 'flat'; there are: exponential, conformal"):
-        octex.unwrap(ball(12), (1, 0, 0), 1.0, method="flat")
-    with pytest.raises(ArgumentError, match="center"):
-        octex.unwrap(ball(12), (1, np.nan, 0), 1.0)
+    for center, radius, options, error, message in (
+        ((5, 0, 0), 1.0, {}, ModelError, "farther than the radius"),
+        ((1, 0, 0), 0.0, {}, ArgumentError, "radius"),
+        (
+            (1, 0, 0),
+            1.0,
+            {"method": "flat"},
+            ArgumentError,
+            "unknown method 'flat'; there are: exponential, co",
+        ),
+        ((1, np.nan, 0), 1.0, {}, ArgumentError, "center"),
+    ):
+        with pytest.raises(error, match=message):
+            octex.unwrap(ball(12), center, radius, **options)
     patch = octex.unwrap(ball(12), (1, 0, 0), 0.5, size=4)
     image = octex.Projection(np.zeros((4, 4, 3), np.uint8), patch)
     with pytest.raises(ArgumentError, match="is not of"):

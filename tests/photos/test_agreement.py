@@ -233,20 +233,16 @@ def test_images_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path, mon
     surface, cameras, images = ring(5, 48)
     images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
     shots = [*projections(images[:4], cameras[:4]), octex.Projection(images[4][..., :3], cameras[4])]
-    options = {"max_depth": 5, "balance": "full"}
-    expected = digest(octex.paint(None, surface, shots, **options))
-    need = 64 * 5 * 48 * 48
-    other = tmp_path / "other"
-    assert (
-        digest(octex.paint(None, surface, shots, run=octex.Run(memory=need, folder=other), **options))
-        == expected
-    )
+
+    def painted(**run):
+        given = octex.Run(**run) if run else None
+        return digest(octex.paint(None, surface, shots, max_depth=5, balance="full", run=given))
+
+    expected, need, other = painted(), 64 * 5 * 48 * 48, tmp_path / "other"
+    assert painted(memory=need, folder=other) == expected
     with pytest.raises(ArgumentError, match=r"folder: .*other is not a folder; name an existing one"):
-        octex.paint(None, surface, shots, run=octex.Run(memory=need - 1, folder=other), **options)
-    assert (
-        digest(octex.paint(None, surface, shots, run=octex.Run(memory="1kB", folder=tmp_path), **options))
-        == expected
-    )
+        painted(memory=need - 1, folder=other)
+    assert painted(memory="1kB", folder=tmp_path) == expected
     refined = octex.refine_cameras(surface, shots, run=octex.Run(memory="1kB", folder=tmp_path))
     expected_matrices = [camera.matrix for camera in octex.refine_cameras(surface, shots)]
     np.testing.assert_array_equal([camera.matrix for camera in refined], expected_matrices)
@@ -254,12 +250,10 @@ def test_images_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path, mon
     monkeypatch.setattr(tempfile, "tempdir", str(other))
     for size in (2 * need, math.inf):
         monkeypatch.setattr(parallel, "memory_size", lambda size=size: size)
-        assert digest(octex.paint(None, surface, shots, **options)) == expected
+        assert painted() == expected
     monkeypatch.setattr(parallel, "memory_size", lambda: 2 * need - 2)
     with pytest.raises(ArgumentError, match=r"folder: .*other is not a folder"):
-        octex.paint(None, surface, shots, **options)
-    with pytest.raises(ArgumentError, match="folder needs memory"):
-        octex.paint(None, surface, shots, run=octex.Run(folder=tmp_path))
+        painted()
 
 
 @needs_jit

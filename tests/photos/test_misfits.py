@@ -129,10 +129,7 @@ def test_an_image_that_is_given_twice_and_one_beside_the_model_are_found():
     given = ring()
     away = Camera.fitted(np.add(relief()[0], [0, 0, 99]), (0, 0, -1), size=(SIZE, SIZE))
     reasons, _ = found([*given, given[3], replace(given[0], camera=away)])
-    assert reasons == {
-        6: "the same image and camera as the image",
-        7: "its camera sees nothing of the model",
-    }
+    assert reasons == {6: "the same image and camera as the image", 7: "its camera sees nothing of the model"}
 
 
 @pytest.mark.parametrize("wrong", [1, 4])
@@ -238,17 +235,10 @@ def test_what_is_wrong_is_told_although_every_turn_of_an_egg_fills_the_images_al
     assert better == f"images agree if {told}; change that, and paint again"
 
 
-def test_a_mesh_in_an_unknown_unit_around_the_cameras_is_told():
-    surface = Surface.from_arrays(217.0 * AXES * ball().vertices, ball().triangles)
-    reasons, better = found(egg_ring(), surface)
-    assert reasons == {}
-    assert better is not None
-    assert better.startswith("they see little of it, and share nothing")
-
-
-def test_a_mesh_beside_what_images_of_separate_sides_show_is_told():
-    beside = Surface.from_arrays(AXES * ball().vertices + [0, 1.4, 0], ball().triangles)
-    reasons, better = found(egg_ring()[::3], beside)
+@pytest.mark.parametrize(("scale", "aside", "step"), [(217.0, 0.0, 1), (1.0, 1.4, 3)])
+def test_a_mesh_around_the_cameras_or_beside_what_images_of_separate_sides_show_is_told(scale, aside, step):
+    vertices = scale * AXES * ball().vertices + [0, aside, 0]
+    reasons, better = found(egg_ring()[::step], Surface.from_arrays(vertices, ball().triangles))
     assert reasons == {}
     assert better is not None
     assert better.startswith("they see little of it, and share nothing")

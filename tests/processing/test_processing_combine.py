@@ -19,7 +19,7 @@ from tests.conftest import needs_jit
 from tests.make.same import assert_same
 from tests.make.small_textures import UNIT, UNIT_BOUNDS, eight_colors, shell
 from tests.make.solids import cube
-from tests.make.strategies import leaf_sets, random_values, with_random_data
+from tests.make.strategies import leaf_sets, random_channel, with_random_data
 from tests.oracles import naive_processing as naive
 from tests.properties.edit_claims import cells_of
 from tests.properties.edit_models import waved
@@ -30,11 +30,7 @@ AMOUNTS = st.sampled_from([0.0, 0.3, 0.5, 1.0])
 
 def texture_of(tree, seed, *forms):
     random = np.random.default_rng(seed)
-    rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-    channels = {}
-    for form in forms:
-        values = [random_values((count, form.components), form.dtype, random) for count in rows]
-        channels[form.name] = Channel(form, *values)
+    channels = {form.name: random_channel(form, tree, random) for form in forms}
     return OctreeTexture(tree, channels, UNIT, UNIT_BOUNDS, {"seed": str(seed)})
 
 
@@ -197,27 +193,23 @@ def test_an_empty_texture_adds_nothing():
 def test_what_cannot_be_put_together_is_refused():
     full = eight_colors()
     moved = eight_colors(placement=Placement((1.0, 0.0, 0.0), 1.0))
-    with pytest.raises(ArgumentError, match="root cells differ"):
-        octex.combine(full, moved)
-    apart = OctreeTexture(full.tree, full.channels, full.placement, full.bounds, {"separation": "{}"})
-    with pytest.raises(ArgumentError, match="separate both or neither"):
-        octex.combine(full, apart)
+    apart = eight_colors(metadata={"separation": "{}"})
     rough = texture_of(full.tree, 0, ROUGHNESS)
-    with pytest.raises(ArgumentError, match="no channel in common: base_color and roughness"):
-        octex.mix(full, rough)
     strange = texture_of(full.tree, 0, NORMAL._replace(name="base_color"))
-    with pytest.raises(ArgumentError, match="3 components of srgb in one texture and 3 of direction"):
-        octex.mix(full, strange)
-    with pytest.raises(ArgumentError, match="amount must be from 0 to 1"):
-        octex.mix(full, full, 2.0)
-    with pytest.raises(ArgumentError, match="one channel of one component, not of base_color"):
-        octex.mix(full, full, full)
-    with pytest.raises(ArgumentError, match=r"shape \(8,\), not \(8, 3\)"):
-        octex.mix(full, full, lambda points: points)
-    with pytest.raises(ArgumentError, match=r"the amount returned nan at \(0.75, 0.25, 0.25\)"):
-        octex.mix(full, full, lambda points: np.where(points[:, 0] > 0.5, np.nan, 0))
-    with pytest.raises(ArgumentError, match="the amount raised ZeroDivisionError"):
-        octex.mix(full, full, lambda points: len(points) // 0)
+    for call, others, message in (
+        (octex.combine, [moved], "root cells differ"),
+        (octex.combine, [apart], "separate both or neither"),
+        (octex.mix, [rough], "no channel in common: base_color and roughness"),
+        (octex.mix, [strange], "3 components of srgb in one texture and 3 of direction"),
+        (octex.mix, [full, 2.0], "amount must be from 0 to 1"),
+        (octex.mix, [full, full], "one channel of one component, not of base_color"),
+        (octex.mix, [full, lambda points: points], r"shape \(8,\), not \(8, 3\)"),
+        (octex.mix, [full, lambda points: np.where(points[:, 0] > 0.5, np.nan, 0)],
+         r"the amount returned nan at \(0.75, 0.25, 0.25\)"),
+        (octex.mix, [full, lambda points: len(points) // 0], "the amount raised ZeroDivisionError"),
+    ):  # fmt: skip
+        with pytest.raises(ArgumentError, match=message):
+            call(full, *others)
 
 
 @needs_jit

@@ -151,7 +151,7 @@ def assert_averaged(texture, names, codes):
     cells = cells_of(texture)
     if not texture.tree.n_leaves:
         return
-    flags, areas = texture.tree.arrays.flags, np.array(AREAS)[texture.tree.arrays.areas]
+    flags, areas = texture.tree.arrays.flags, AREAS[texture.tree.arrays.areas]
     parents = np.searchsorted(cells.keys, cells.keys[1:] >> 3)
     alpha = texture.channels.get(ALPHA.name)
     for name in names:

@@ -29,25 +29,17 @@ RAMP = 2
 
 def mesh(kind, seed):
     """A surface of fewer than 200 triangles."""
-    turn = turned(seed)
-    if kind == "triangle":
-        points, triangles = np.random.default_rng(seed).normal(size=(3, 3)), np.array([[0, 1, 2]])
-    elif kind == "sheet":
-        return sheet(turn, (0.3, 0.02, 0.0)[seed % 3])
-    elif kind == "open":
-        points, triangles = cube((0, 0, 0))
-        points, triangles = points @ turn.T, triangles[3:]
-    elif kind == "planes":  # at depth 4 both squares lie in planes of cells
-        points, triangles = together(square(0.0, 1.0, 3), square(8 / 3 / 13, 1.0, 3))
-    elif kind == "overlapping":
-        points, triangles = together(cube((0, 0, 0), 0.6), cube((0.4, 0.3, 0.2), 0.5))
-    elif kind == "sphere":
-        return ball(8)
-    elif kind == "cube":
-        points, triangles = cube((0, 0, 0))
-        points = points @ turn.T
-    else:
-        points, triangles = square(0.0, 1.0, 2)
+    turn, box = turned(seed), cube((0, 0, 0))
+    if kind in ("sheet", "sphere"):
+        return sheet(turn, (0.3, 0.02, 0.0)[seed % 3]) if kind == "sheet" else ball(8)
+    points, triangles = {
+        "triangle": lambda: (np.random.default_rng(seed).normal(size=(3, 3)), np.array([[0, 1, 2]])),
+        "open": lambda: (box[0] @ turn.T, box[1][3:]),
+        "planes": lambda: together(square(0.0, 1.0, 3), square(8 / 3 / 13, 1.0, 3)),  # of cells at depth 4
+        "overlapping": lambda: together(cube((0, 0, 0), 0.6), cube((0.4, 0.3, 0.2), 0.5)),
+        "cube": lambda: (box[0] @ turn.T, box[1]),
+        "flat": lambda: square(0.0, 1.0, 2),
+    }[kind]()
     return Surface.from_arrays(points, triangles, factor=(0.6, 0.5, 0.4))
 
 

@@ -111,22 +111,16 @@ def _pattern(random):
     x, y = np.meshgrid(*[(np.arange(size) + 0.5) / size] * 2)
     low, high = random.random(2)
     a, b = random.normal(size=2)
-    kind = random.choice(["flat", "ramp", "edge", "checkers", "waves", "noise", "dots"])
-    if kind == "flat":
-        values = np.zeros_like(x)
-    elif kind == "ramp":
-        values = np.clip(0.5 + a * (x - 0.5) + b * (y - 0.5), 0, 1)
-    elif kind == "edge":
-        values = (a * (x - 0.5) + b * (y - 0.5) > 0.2 * (random.random() - 0.5)).astype(np.float64)
-    elif kind == "checkers":
-        cells = int(random.integers(2, size + 1))
-        values = ((x * cells).astype(int) + (y * cells).astype(int)) % 2.0
-    elif kind == "waves":
-        values = 0.5 + 0.5 * np.sin(10 * a * x + 3) * np.cos(10 * b * y)
-    elif kind == "noise":
-        values = random.random(x.shape)
-    else:
-        values = (random.random(x.shape) < 3 / size**2).astype(np.float64)
+    kinds = {
+        "flat": lambda: np.zeros_like(x),
+        "ramp": lambda: np.clip(0.5 + a * (x - 0.5) + b * (y - 0.5), 0, 1),
+        "edge": lambda: (a * (x - 0.5) + b * (y - 0.5) > 0.2 * (random.random() - 0.5)).astype(np.float64),
+        "checkers": lambda: np.floor(np.array([x, y]) * random.integers(2, size + 1)).sum(axis=0) % 2.0,
+        "waves": lambda: 0.5 + 0.5 * np.sin(10 * a * x + 3) * np.cos(10 * b * y),
+        "noise": lambda: random.random(x.shape),
+        "dots": lambda: (random.random(x.shape) < 3 / size**2).astype(np.float64),
+    }
+    values = kinds[random.choice(list(kinds))]()
     return low + (high - low) * values
 
 

@@ -6,7 +6,7 @@ from octex.channels import ALPHA, COLOR_SPACES, ONE, ChannelFormat, decode
 from octex.texture import FILTERS, Channel, OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from tests.make.strategies import random_values, with_random_data
+from tests.make.strategies import random_channel, with_random_data
 from tests.oracles import naive
 from tests.oracles.naive_views import Views
 
@@ -30,11 +30,10 @@ def random_texture(random, dtypes=DTYPES):
         )
         if number == 0 and random.random() < 0.4:
             form = ALPHA._replace(dtype=dtype)
-        rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-        values = [random_values((count, form.components), dtype, random) for count in rows]
+        channels[form.name] = random_channel(form, tree, random)
         if form.name == ALPHA.name:
-            values = [array * (random.random(array.shape) < 0.7) for array in values]
-        channels[form.name] = Channel(form, *values)
+            values = [array * (random.random(array.shape) < 0.7) for array in channels[form.name][1:]]
+            channels[form.name] = Channel(form, *values)
     size = float(10.0 ** random.choice([0, 0, 0, -12, 12])) * float(random.random() + 0.1)
     x, y, z = (size * random.normal(size=3)).tolist()
     placement = Placement((x, y, z), size)

@@ -49,10 +49,11 @@ def test_points_at_the_rim_of_a_splines_support_have_an_answer(filter):
                     assert np.isfinite(each).all()
 
 
+@pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("filter", FILTERS)
-def test_a_row_that_is_not_finite_is_named_however_it_is_looked_at(filter):
+def test_a_row_that_is_not_finite_is_named_however_it_is_looked_at(filter, wrong):
     texture, points = shell(3), np.full((20, 3), 0.4)
-    points[7, 1] = np.nan
+    points[[7, 15], 1] = wrong
     right, down, normals = np.random.default_rng(0).normal(size=(3, 20, 3))
     views = [
         {},
@@ -64,7 +65,7 @@ def test_a_row_that_is_not_finite_is_named_however_it_is_looked_at(filter):
     ]
     for each in views:
         for gradient in (False, True) if filter != "nearest" else (False,):
-            with pytest.raises(ArgumentError, match=r"points must be finite, but points\[7\] is \[0.4, nan"):
+            with pytest.raises(ArgumentError, match=rf"must be finite, but points\[7\] is \[0.4, {wrong}"):
                 texture.sample(points, filter=filter, gradient=gradient, **each)
 
 

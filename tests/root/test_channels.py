@@ -144,23 +144,6 @@ def test_points_become_contiguous_native_floats_and_are_not_copied_if_they_are()
         assert checks.as_points(array) is array
 
 
-@pytest.mark.parametrize(
-    ("points", "message"),
-    [
-        (np.zeros((4, 2)), r"^rest must have shape \(n, 3\), not \(4, 2\)$"),
-        (np.zeros(3), r"^rest must have shape \(n, 3\), not \(3,\)$"),
-        ([[1, 2, 3], [4, 5]], r"^rest must have shape \(n, 3\)$"),
-        (np.zeros((4, 3), complex), "^rest must be real numbers, not complex128$"),
-        (np.zeros((4, 3), bool), "^rest must be real numbers, not bool$"),
-        ([["a", "b", "c"]], "^rest must be real numbers, not <U1$"),
-        (None, "^rest must be real numbers, not object$"),
-    ],
-)
-def test_other_points_are_refused_by_name(points, message):
-    with pytest.raises(ArgumentError, match=message):
-        checks.as_points(points, "rest")
-
-
 def test_a_depth_is_a_python_integer_in_its_range():
     for depth in (0, MAX_DEPTH, np.int64(7)):
         assert type(checks.as_depth(depth)) is int

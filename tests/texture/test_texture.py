@@ -43,12 +43,6 @@ def test_a_sample_is_the_decoded_value_of_the_nearest_cell(texture, seed):
         assert np.allclose(texture.sample(points, name, "nearest"), expected, rtol=0, atol=1e-6)
 
 
-def test_colours_come_back_in_linear_light():
-    values = eight_colors().sample([[0.25, 0.25, 0.25], [0.75, 0.75, 0.75]], filter="nearest")
-    assert values[0].tolist() == [0.0] * 3
-    assert values[1] == pytest.approx([naive.srgb_to_linear(70 / 255)] * 3)
-
-
 def directed(values, dtype):
     """Depth 1; the first leaves hold directions."""
     tree = Octree.from_leaves(np.arange(len(values)), 1)
@@ -142,28 +136,23 @@ def test_values_of_rows_that_do_not_exist_are_refused(rows):
         eight_colors(channels={"base_color": channel._replace(**{rows: values})})
 
 
-@pytest.mark.parametrize("metadata", [{"depth": 1}, {1: "depth"}])
-def test_metadata_that_are_not_texts_are_refused(metadata):
-    with pytest.raises(ArgumentError, match="metadata must map strings to strings"):
-        eight_colors(metadata=metadata)
+ROOTS = [
+    *(((0, 0, np.nan), 1), ((0, np.nan, 0), 1), ((0, 0, 0), 0), ((0, 0, 0), np.inf)),
+    *(((0, 0, 0), 1e-312), ((0, 0, 0), 1e31), ((1e31, 0, 0), 1)),
+]
 
 
 @pytest.mark.parametrize(
-    ("origin", "size"),
+    ("changes", "message"),
     [
-        *(((0, 0, np.nan), 1), ((0, np.nan, 0), 1), ((0, 0, 0), 0), ((0, 0, 0), np.inf)),
-        *(((0, 0, 0), 1e-312), ((0, 0, 0), 1e31), ((1e31, 0, 0), 1)),
+        *(({"metadata": odd}, "must map strings to strings") for odd in ({"depth": 1}, {1: "depth"})),
+        *(({"placement": Placement(*root)}, r"a size from 1e-15 to 1e\+30 and a corner") for root in ROOTS),
+        *(({"bounds": odd}, "two finite corners") for odd in ([[0, 0, 0]], [[0, 0, 0], [1, 1, np.inf]])),
     ],
 )
-def test_an_impossible_root_cell_is_refused(origin, size):
-    with pytest.raises(ArgumentError, match=r"root cell must have a size from 1e-15 to 1e\+30 and a corner"):
-        eight_colors(placement=Placement(origin, size))
-
-
-@pytest.mark.parametrize("bounds", [[[0, 0, 0]], [[0, 0, 0], [1, 1, np.inf]]])
-def test_impossible_bounds_are_refused(bounds):
-    with pytest.raises(ArgumentError, match="two finite corners"):
-        eight_colors(bounds=bounds)
+def test_impossible_metadata_root_cells_and_bounds_are_refused(changes, message):
+    with pytest.raises(ArgumentError, match=message):
+        eight_colors(**changes)
 
 
 def test_a_channel_of_one_number_has_it_in_all_rows_and_a_copy_has_its_own():

@@ -39,12 +39,6 @@ def test_a_texture_and_its_tree_introduce_themselves():
     assert repr(eight_colors()) == "<OctreeTexture of base_color; <Octree of depth 1: 8 leaves, 1 nodes>>"
 
 
-def test_the_same_texture_gives_the_same_bytes(tmp_path):
-    shell(3).save(tmp_path / "a.octex")
-    octex.open(tmp_path / "a.octex").save(tmp_path / "b.octex")
-    assert (tmp_path / "a.octex").read_bytes() == (tmp_path / "b.octex").read_bytes()
-
-
 def test_the_format_is_what_it_was(tmp_path):
     eight_colors().save(tmp_path / "a.octex")
     data = (tmp_path / "a.octex").read_bytes()

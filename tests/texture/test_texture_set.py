@@ -12,10 +12,11 @@ import octex
 from octex import files
 from octex.channels import NORMAL, ROUGHNESS
 from octex.errors import ArgumentError, OutputError, TextureFileError
-from octex.texture import Channel, OctreeTexture, TextureSet, lookup
+from octex.texture import OctreeTexture, TextureSet, lookup
 from octex.texture import set as sets
 from octex.tree.placement import Placement
 from tests.make.small_textures import eight_colors, shell
+from tests.make.strategies import random_channel
 
 N = 60
 RANDOM = np.random.default_rng(0)
@@ -26,11 +27,8 @@ VECTORS = RANDOM.normal(size=(3, N, 3))
 
 def with_channel(texture, form):
     """The same texture with one more channel, of noise."""
-    tree, random = texture.tree, np.random.default_rng(9)
-    rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-    noise = [random.integers(0, 256, (n, form.components), dtype=np.uint8) for n in rows]
-    channels = {**texture.channels, form.name: Channel(form, *noise)}
-    return OctreeTexture(tree, channels, texture.placement, texture.bounds)
+    noise = random_channel(form, texture.tree, np.random.default_rng(9))
+    return texture.with_cells(texture.tree, {**texture.channels, form.name: noise})
 
 
 def moved(texture):

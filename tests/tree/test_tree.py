@@ -109,18 +109,16 @@ def test_leaves_out_of_order_or_overlapping_are_refused(codes, depths):
         Octree.from_leaves(codes, depths)
 
 
-@pytest.mark.parametrize("depths", [[1], [[1, 1]], [0.5, 1.0]])
-def test_depths_must_be_whole_numbers_one_a_leaf(depths):
-    with pytest.raises(ArgumentError, match="whole numbers"):
-        Octree.from_leaves([0, 1], depths)
-
-
-@pytest.mark.parametrize("depth", [-1, 22])
-def test_depths_must_be_0_to_21(depth):
-    with pytest.raises(ArgumentError, match="21"):
-        Octree.from_leaves([0], depth)
-    with pytest.raises(ArgumentError, match="21"):
-        Octree.from_leaves([0], [depth])
+@pytest.mark.parametrize(
+    ("codes", "depths", "message"),
+    [
+        *(([0, 1], depths, "whole numbers") for depths in ([1], [[1, 1]], [0.5, 1.0])),
+        *(([0], depth, "21") for depth in (-1, 22, [-1], [22])),
+    ],
+)
+def test_depths_must_be_whole_numbers_from_0_to_21_one_a_leaf(codes, depths, message):
+    with pytest.raises(ArgumentError, match=message):
+        Octree.from_leaves(codes, depths)
 
 
 def test_more_cells_than_32_bits_number_are_refused(monkeypatch):
@@ -195,13 +193,10 @@ def test_arrays_that_do_not_fit_together_are_refused(changes, message):
         changed(full_tree(), **changes)
 
 
-def test_a_split_table_of_unequal_columns_is_refused():
-    tree = full_tree()
+def test_tables_of_unequal_columns_or_of_another_type_are_refused():
+    split = SplitTable(np.zeros(1, np.uint32), np.zeros(2, np.uint8), np.zeros(2, np.uint8))
     with pytest.raises(ArgumentError, match="split facings must have shape"):
-        Octree(tree.arrays, SplitTable(np.zeros(1, np.uint32), np.zeros(2, np.uint8), np.zeros(2, np.uint8)))
-
-
-def test_a_table_of_kept_nodes_of_another_type_is_refused():
+        Octree(full_tree().arrays, split)
     with pytest.raises(ArgumentError, match="kept cells must be a C-ordered uint32"):
         Octree(full_tree().arrays, kept=KeptTable(np.zeros(1, np.int64)))
 
