@@ -303,7 +303,9 @@ def draw_layers(random, run):
     def claim(run, before, after):
         names = run.names
         assert claims.digest(names["undone"]) == claims.digest(before), "layers undo otherwise"
-        assert claims.digest(names["replaced"]) == claims.digest(names["with_low"]), "layers replace otherwise"
+        assert claims.digest(names["replaced"]) == claims.digest(names["with_low"]), (
+            "layers replace otherwise"
+        )
         for each in after, names["again"]:
             assert claims.digest(each) == claims.digest(names["with_high"]), "layers are shown otherwise"
 
