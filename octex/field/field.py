@@ -102,8 +102,8 @@ class Field:
         return build_tiles(self.tree) if can_be_tiled(self.tree) else None
 
     @built_once
-    def painted(self) -> tuple[Tiles, ...] | None:
-        """Return marked tiles of a tree of one depth with finer paint; None for other trees."""
+    def painted(self) -> tuple[Tiles, ...]:
+        """Return marked tiles of one or two levels of a tree of one depth with finer paint; else none."""
         levels = [] if self.tiles is not None else painted_levels(self.tree)
         painted: list[Tiles] = []
         for level in levels:
@@ -111,7 +111,7 @@ class Field:
             n_marked, n_cells = int(bit_counts(tiles.marks).sum()), sum(self.tree.cells_by_depth()[level])
             if not painted or 2 * n_marked < n_cells:  # most points are unmarked
                 painted.append(tiles)
-        return tuple(painted) or None
+        return tuple(painted)
 
     def tiles_for(self, filter_code: int) -> Tiles | None:
         """Return the tiles that find all or most points for a filter."""
@@ -119,11 +119,6 @@ class Field:
         if tiles is None and filter_code in (LINEAR, QUADRATIC) and self.painted:
             tiles = self.painted[0]
         return tiles
-
-    @built_once
-    def finer(self) -> tuple[Tiles, ...]:
-        """Return the tiles to search for points that `tiles_for` does not answer; mostly none."""
-        return self.painted[1:] if self.tiles is None and self.painted else ()
 
     def searched(self, filter_code: int) -> Iterator[Tiles]:
         """Yield the tiles to search, each for the points that the ones before lack.

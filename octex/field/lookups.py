@@ -204,7 +204,7 @@ class Lookup:
             if not empty.size:
                 break
         rim = np.concatenate(rims)
-        for tiles in field.finer if rim.size else ():
+        for tiles in field.painted[1:] if rim.size else ():
             search = TileSearch(code, tiles, field.n_cells - 1, False, weighing)
             rim = np.concatenate(self._search(search, rim, *task))
         return rim

@@ -114,7 +114,7 @@ def painted(depth):
 @pytest.mark.parametrize("filter", ["linear", "quadratic"])
 def test_beside_finer_paint_tiles_answer_as_the_walk_does(filter):
     texture, walked = painted(5), painted(5)
-    assert texture._field.painted is not None
+    assert texture._field.painted
     setattr(walked._field, "painted", None)  # noqa: B010
     points = np.concatenate([reach * on_shell(2000) for reach in np.float32([1.0, 1.02, 0.8])])
     for view in ({}, {"gradient": True}, {"normals": points - np.float32(0.5)}):
