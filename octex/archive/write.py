@@ -58,10 +58,7 @@ _Sampled = list[tuple[int, Int32s, Uint32s]]
 
 
 def write(
-    path: str | os.PathLike[str],
-    tensors: Mapping[str, Array],
-    metadata: Mapping[str, str],
-    max_error: int,
+    path: str | os.PathLike[str], tensors: Mapping[str, Array], metadata: Mapping[str, str], max_error: int
 ) -> None:
     """Write the tensors and metadata of a texture's render file.
 

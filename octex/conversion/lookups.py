@@ -16,7 +16,7 @@ from octex.conversion import large
 from octex.conversion.samples import POSITION_STEPS, Samples
 from octex.conversion.solve import LEAST_WEIGHT, Equations, by_unknown, write_residual
 from octex.field.tiles import Tiles, tile_row
-from octex.jit import fused_kernel, kernel, weighted_cube
+from octex.jit import fused_kernel, kernel, spline_box
 from octex.tree.morton import decode, decode_cells
 from octex.tree.octree import Octree, distinct
 
@@ -24,11 +24,12 @@ from octex.tree.octree import Octree, distinct
 _BITS = 9
 _SIDE = 10
 _CUBE_SIZE = _SIDE**3
+_STEPS = 1, _SIDE, _SIDE**2
 #: Offset of the middle of 3³ positions from the first.
 _CENTRE = 1 + _SIDE * (1 + _SIDE)
 _CELLS = decode_cells(np.arange(1 << _BITS))
 #: The position of a cell among a cube's 8³, by its code; and its sides of the cube: low x, high x, low y …
-_POSITIONS = _CENTRE + _CELLS @ [1, _SIDE, _SIDE**2]
+_POSITIONS = _CENTRE + _CELLS @ _STEPS
 _SIDES = sum((_CELLS[:, bit >> 1] == (bit & 1) * 7) << bit for bit in range(6))
 
 
@@ -307,9 +308,8 @@ def _residuals(
             for sample in range(firsts[cell], firsts[cell + 1]):
                 n = np.uint64(sample)
                 of_x, of_y = (axes[n, 0], axes[n, 1], axes[n, 2]), (axes[n, 3], axes[n, 4], axes[n, 5])
-                x, y, z, total = weighted_cube(
-                    grid, at, _SIDE, of_x, of_y, (axes[n, 6], axes[n, 7], axes[n, 8])
-                )
+                of_z = axes[n, 6], axes[n, 7], axes[n, 8]
+                x, y, z, total = spline_box(grid, at, _STEPS, of_x, of_y, of_z)
                 inverse = one / total if total > zero else zero
                 axes[n, 9] = inverse
                 share = shares[n] if total > zero else zero

@@ -294,8 +294,7 @@ def numbers_in(texture: OctreeTexture, tiles: OpenTiles, draft: OctreeTexture) -
     nodes = numbers[:0]
     for level, (codes, is_node) in enumerate(islice(draft.tree.walk(), tiles.level + 1)):
         located = locate(tree, codes, level)
-        of_level = slice(*draft.tree.arrays.level_cells[level : level + 2].tolist())
-        numbers[of_level] = np.where(is_node | located.is_leaf, located.cells, -1)
+        numbers[draft.tree.cells_at(level)] = np.where(is_node | located.is_leaf, located.cells, -1)
         nodes = located.nodes[is_node]
     cells: list[Runs] = []
     add_below([tree], cells, [Runs.of_numbers(nodes)])
@@ -318,8 +317,7 @@ def _overwritten(
     tree, draft = texture.tree, after.tree
     numbers = numbers_in(texture, tiles, after)
     if tiles.level <= draft.max_depth:  # leaves next to the tiles stay
-        of_level = slice(*draft.arrays.level_cells[tiles.level : tiles.level + 2].tolist())
-        numbers[of_level][~among(draft.level_codes(tiles.level), tiles.codes)] = -1
+        numbers[draft.cells_at(tiles.level)][~among(draft.level_codes(tiles.level), tiles.codes)] = -1
     draft_cells = np.flatnonzero(numbers >= 0)
     sizes = draft.split.areas.size, draft.kept.cells.size
     numbers_by_table = [numbers, *(np.full(size, -1, np.int64) for size in sizes)]

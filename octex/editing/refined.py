@@ -122,10 +122,7 @@ def _facing(tree: Octree, taps: TapList, owners: Int64s, bits: Uint8s) -> tuple[
 
 
 def _blended(
-    channels: Mapping[str, Channel],
-    taps: TapList,
-    has_row: Bools | None = None,
-    rows: Int64s | None = None,
+    channels: Mapping[str, Channel], taps: TapList, has_row: Bools | None = None, rows: Int64s | None = None
 ) -> dict[str, Float32s]:
     """Blend channels, decoded; taps in ``has_row`` use ``rows`` of the split table."""
 

@@ -25,8 +25,7 @@ windows        the cells around a point, level by level
 walk_taps      taps from the walk; the taps that cells below leaves refine from, for edits
 bricks         decodes coefficients for points that lie close together
 field          the field over one tree: picks the finder of taps
-lookups        lookups of points at all levels
-listing        lists the rows that lookups blend or read
+lookups        lookups of points at all levels; lists the rows that they blend or read
 
 A tree of one depth with finer paint has tiles of both levels. Cells near the other level are marked; the walk
 or bricks answer there.

@@ -181,12 +181,7 @@ def _add_to(sums: ProbeSums, owner: np.uint64, factor: float, five: Five, compon
 @by_constants
 @fused_kernel
 def add_up(
-    taps: Taps,
-    codes: Codes,
-    owners: Int32s,
-    shares: Float32s,
-    share_slopes: Float32s,
-    sums: ProbeSums,
+    taps: Taps, codes: Codes, owners: Int32s, shares: Float32s, share_slopes: Float32s, sums: ProbeSums
 ) -> None:
     """Add the blends of probes, times their shares, to the sums of their owners.
 

@@ -26,7 +26,7 @@ from octex.field.taps import LEAST, Codes, Flat, Taps, flat_of, new_taps, put_va
 from octex.field.tiles import Integer
 from octex.field.walk_taps import taps_around
 from octex.field.windows import MOST_TAPS, Way, kept_row, new_walk
-from octex.jit import fused_kernel, inlined, prefetch, refine_rows, trailing_zeros, weighted_cube
+from octex.jit import fused_kernel, inlined, prefetch, refine_rows, spline_box, trailing_zeros
 from octex.tree.children import children, rank_in
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 from octex.tree.search import AHEAD, end_of_cell
@@ -385,7 +385,7 @@ def _blend_brick(
 ) -> int:
     """Look points up in a block of a level whose first cell is ``low``; return the number missed."""
     rows, coords, keys = bricks.rows, targets.coords, targets.keys
-    cells = np.float64(np.int64(1) << level)
+    cells, steps = np.float64(np.int64(1) << level), (1, side, side * side)
     for m in range(begin, end):
         ahead = int(keys[min(m + AHEAD, keys.size - 1)] & _NUMBER)
         prefetch(coords, ahead)
@@ -399,10 +399,10 @@ def _blend_brick(
         of_x, of_y, of_z = _brick_weights(x - i), _brick_weights(y - j), _brick_weights(z - k)
         at = (int(i) - low[0] - 1) + side * ((int(j) - low[1] - 1) + side * (int(k) - low[2] - 1))
         at += first
-        a, b, c, d = weighted_cube(rows, at, side, of_x, of_y, of_z)
+        a, b, c, d = spline_box(rows, at, steps, of_x, of_y, of_z)
         total = d
         if planes > 1:
-            total, _, _, _ = weighted_cube(rows, at + _CELLS, side, of_x, of_y, of_z)
+            total, _, _, _ = spline_box(rows, at + _CELLS, steps, of_x, of_y, of_z)
         n_missed = _write_mean(targets, n, n_missed, a, b, c, d, total)
     return n_missed
 

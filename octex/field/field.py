@@ -38,7 +38,6 @@ from octex.tree.search import Positions, nearest_cells
 _WALKED = 24
 NO_BYTES = np.empty(0, np.uint8)
 NO_VECTORS = np.empty((0, 3), np.float32)
-_NO_DOUBLES = np.empty((0, 3))
 _NO_ROWS: Uint8s = np.empty((1, 1), np.uint8)
 #: The part of probes that mixes opposite facings, and its derivatives; empty if not wanted.
 Passed = tuple[Float32s, Float32s]
@@ -52,12 +51,6 @@ class NotFiniteError(ValueError):
     def __init__(self, row: int) -> None:
         super().__init__(f"points[{row}] is not finite")
         self.row = row
-
-
-def positions(points: Floats) -> Positions:
-    """Return rest positions (n, 3) as kernels take them: `Positions.of` on read-only arrays too."""
-    points = unlocked(points)
-    return Positions(points, _NO_DOUBLES) if points.itemsize == 4 else Positions(NO_VECTORS, points)
 
 
 class Field:
@@ -92,8 +85,8 @@ class Field:
                 if any(leaves for leaves, _ in self.tree.cells_by_depth()[: level + 1]):
                     areas = np.zeros(areas.size, np.uint8)
                     for above, (_, is_node) in enumerate(islice(self.tree.walk(), level + 1)):
-                        nodes = np.flatnonzero(is_node) + int(self.tree.arrays.level_cells[above])
-                        areas[nodes] = self.tree.arrays.areas[nodes]
+                        cells = self.tree.cells_at(above)
+                        areas[cells] = np.where(is_node, self.tree.arrays.areas[cells], 0)
                 self._areas[level] = areas
             return self._areas[level]
 
@@ -109,8 +102,8 @@ class Field:
         return build_tiles(self.tree) if can_be_tiled(self.tree) else None
 
     @built_once
-    def painted(self) -> tuple[Tiles, ...] | None:
-        """Return marked tiles of a tree of one depth with finer paint; None for other trees."""
+    def painted(self) -> tuple[Tiles, ...]:
+        """Return marked tiles of one or two levels of a tree of one depth with finer paint; else none."""
         levels = [] if self.tiles is not None else painted_levels(self.tree)
         painted: list[Tiles] = []
         for level in levels:
@@ -118,7 +111,7 @@ class Field:
             n_marked, n_cells = int(bit_counts(tiles.marks).sum()), sum(self.tree.cells_by_depth()[level])
             if not painted or 2 * n_marked < n_cells:  # most points are unmarked
                 painted.append(tiles)
-        return tuple(painted) or None
+        return tuple(painted)
 
     def tiles_for(self, filter_code: int) -> Tiles | None:
         """Return the tiles that find all or most points for a filter."""
@@ -126,11 +119,6 @@ class Field:
         if tiles is None and filter_code in (LINEAR, QUADRATIC) and self.painted:
             tiles = self.painted[0]
         return tiles
-
-    @built_once
-    def finer(self) -> tuple[Tiles, ...]:
-        """Return the tiles to search for points that `tiles_for` does not answer; mostly none."""
-        return self.painted[1:] if self.tiles is None and self.painted else ()
 
     def searched(self, filter_code: int) -> Iterator[Tiles]:
         """Yield the tiles to search, each for the points that the ones before lack.
@@ -217,7 +205,7 @@ class Finder:
             block = slice(begin, begin + BLOCK)
             block_points = points[block]
             self.coords = memory[: len(block_points)]
-            fault = to_coordinates(positions(block_points), *self._placement, self.coords)
+            fault = to_coordinates(Positions.of(block_points), *self._placement, self.coords)
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
             taps = self.find(self.coords, rows)
@@ -289,7 +277,7 @@ class Finder:
     def _nearest(self, coords: Float64s, taps: Taps) -> Taps:
         tree, n = self.field.tree, len(coords)
         cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
-        nearest_cells(tree.arrays, positions(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
+        nearest_cells(tree.arrays, Positions.of(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
         taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
         taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
         return taps

@@ -1,25 +1,40 @@
-"""Lookups of points by tiles, bricks or the walk; footprints at all levels."""
+"""Lookups of points by tiles, bricks or the walk; footprints at all levels.
+
+They are also listed, for solvers and for files that are read in part.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Floats, Int64s, Uint8s
-from octex.field.blend import ProbeSums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
+from octex.arrays import Float32s, Floats, Int64s, Uint8s, Uint32s, in_runs
+from octex.field.blend import (
+    ProbeSums,
+    add_up,
+    blend,
+    blend_slopes,
+    divide,
+    joined,
+    listed,
+    new_sums,
+    weigh_by_alpha,
+)
 from octex.field.bricks import NUMBER_BITS, SORTED, Targets, look_up_crowded, new_bricks
-from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError, positions
+from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
-from octex.field.taps import Codes, Taps, to_coordinates
+from octex.field.taps import Codes, TapList, Taps, to_coordinates
 from octex.field.tiled import Additions, TileSearch, Weighed, look_up_tiled
 from octex.field.weights import Weighing
 from octex.jit import direct, unlocked
+from octex.tree.morton import encode_cells
+from octex.tree.octree import distinct
 from octex.tree.placement import Placement
-from octex.tree.search import keys_of, put_rows
+from octex.tree.search import Positions, keys_of, put_rows
 
 #: Fewer points are not sorted.
 _LEAST_SORTED = 64
@@ -142,7 +157,7 @@ class Lookup:
         def look_up(points: Floats) -> Float32s | None:
             answer = np.empty((len(points), components), np.float32)
             lost = np.empty((2, len(points)), np.int64)
-            task = *positions(points), *fixed, answer, _NO_GRADIENTS
+            task = *Positions.of(unlocked(points)), *fixed, answer, _NO_GRADIENTS
             is_all = _look_up_tiled(search, *task, NO_ADDITIONS, lost) == _ALL_FOUND
             return answer if is_all else None
 
@@ -162,7 +177,7 @@ class Lookup:
         if self._alpha is not None and not channel.is_alpha:
             alpha = self._alpha.codes
         coords, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
-        fault = to_coordinates(positions(points), *self._placement, coords)
+        fault = to_coordinates(Positions.of(points), *self._placement, coords)
         if fault >= 0:
             raise NotFiniteError(fault)
         keys = keys_of(coords, SORTED, NUMBER_BITS)
@@ -189,7 +204,7 @@ class Lookup:
             if not empty.size:
                 break
         rim = np.concatenate(rims)
-        for tiles in field.finer if rim.size else ():
+        for tiles in field.painted[1:] if rim.size else ():
             search = TileSearch(code, tiles, field.n_cells - 1, False, weighing)
             rim = np.concatenate(self._search(search, rim, *task))
         return rim
@@ -218,7 +233,7 @@ class Lookup:
                 slopes = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
                 normals = np.take(normals, which, axis=0) if len(normals) else normals
         lost = np.empty((2, len(points)), np.int64)
-        where = *positions(points), *self._placement, unlocked(normals)
+        where = *Positions.of(unlocked(points)), *self._placement, unlocked(normals)
         n_empty, n_rim, fault = _look_up_tiled(search, *where, self._channel, results, slopes, selected, lost)
         if fault >= 0:
             raise NotFiniteError(fault)
@@ -361,3 +376,95 @@ class Lookup:
                 weigh_by_alpha(taps, alpha.codes, is_prefetched, always)
                 alpha = None
             yield number, channel.codes
+
+
+class Reads(NamedTuple):
+    """The rows and cells that lookups of a channel read at a level."""
+
+    rows: Uint32s  # (n,)   each once
+    cells: Int64s  # (m,)   the Morton codes of those that hold the probes' points, ascending
+
+
+class Listing(Lookup):
+    """Lists lookups of one channel. All methods raise NotFiniteError."""
+
+    def blends(self, points: Floats) -> TapList:
+        """List the taps of points."""
+        return joined(
+            list(self._leaves(points) if self._query.footprints is None else self._of_probes(points))
+        )
+
+    def _leaves(self, points: Floats) -> Iterator[TapList]:
+        for _, taps in self.each_block(points):
+            self._weigh_all(taps, always=False)
+            yield listed(taps)
+
+    def _of_probes(self, points: Floats) -> Iterator[TapList]:
+        """List the taps of footprints: probes at all levels, added up."""
+        for run, by_level in self.each_run(points):
+            n_points = run.stop - run.start
+            all_keys, all_weights = [np.empty(0, np.int64)], [np.empty(0)]
+            for _, probes, taps in self.each_probe(run, by_level):
+                self._weigh_all(taps, always=True)
+                probe, at = _each_tap(taps)
+                all_keys.append(probes.owners[probe].astype(np.int64) << 32 | taps.rows[at])
+                all_weights.append(taps.weights[at].astype(np.float64) * probes.shares[probe])
+            keys, which = np.unique(np.concatenate(all_keys), return_inverse=True)
+            weights = np.bincount(which, np.concatenate(all_weights), keys.size)
+            owners, rows = keys >> 32, keys & 0xFFFFFFFF
+            totals = np.bincount(owners, weights, n_points)
+            (transparent,) = np.nonzero(totals == 0)
+            has_weight = (totals[owners] != 0) & (weights != 0)
+            owners, rows, weights = owners[has_weight], rows[has_weight], weights[has_weight]
+            weights = weights / totals[owners]
+            if transparent.size:  # alpha is zero throughout
+                numbers = run.start + transparent
+                query = self._query.of(numbers)
+                listing = Listing(self._field, self._placement, query, self._channels, None)
+                unweighted = listing.blends(points[numbers])
+                owners = np.concatenate([owners, np.repeat(transparent, np.diff(unweighted.starts))])
+                order = np.argsort(owners, kind="stable")
+                rows = np.concatenate([rows, unweighted.rows])[order]
+                weights = np.concatenate([weights, unweighted.weights])[order]
+            starts = np.cumsum(np.append(0, np.bincount(owners, minlength=n_points)))
+            yield TapList(starts, rows, weights.astype(np.float32))
+
+    def reads(self, points: Floats) -> dict[int, Reads]:
+        """List the rows and cells read, by level."""
+        depth = self._field.depth
+        if self._query.footprints is None:
+            return joined_reads({depth: self._read(taps, depth)} for _, taps in self.each_block(points))
+        probes = (each for run in self.each_run(points) for each in self.each_probe(*run))
+        return joined_reads({level: self._read(taps, level)} for level, _, taps in probes)
+
+    def _read(self, taps: Taps, level: int) -> Reads:
+        """Return the rows that the latest block reads, and the cells that hold its points."""
+        coords, side = self.finder(self._field.level(level)).coords, 1 << level
+        cells = encode_cells(np.minimum((coords * side).astype(np.int64), side - 1))
+        return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), distinct(cells))
+
+    def _weigh_all(self, taps: Taps, *, always: bool) -> None:
+        """Weigh taps as lookups of the channel do."""
+        for _ in self.each_weighed(taps, False, always=always):
+            pass
+
+
+def joined_reads(reads_of_blocks: Iterable[Mapping[int, Reads]]) -> dict[int, Reads]:
+    """Join the reads of several blocks of points, or channels, by level."""
+    by_level: dict[int, list[Reads]] = {}
+    for levels in reads_of_blocks:
+        for level, read in levels.items():
+            by_level.setdefault(level, []).append(read)
+    return {
+        level: Reads(
+            distinct(np.concatenate([each.rows for each in parts])).astype(np.uint32),
+            distinct(np.concatenate([each.cells for each in parts])),
+        )
+        for level, parts in by_level.items()
+    }
+
+
+def _each_tap(taps: Taps) -> tuple[Int64s, Int64s]:
+    """Return for each tap, point after point, the point's number and the tap's index."""
+    counts = taps.ends - taps.starts
+    return np.repeat(np.arange(counts.size), counts), in_runs(taps.starts, counts)

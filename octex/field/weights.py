@@ -203,11 +203,7 @@ class Visible(NamedTuple):
 @part
 def new_visible() -> Visible:
     """Return room for a normal's visible parts."""
-    return Visible(
-        np.empty(9, np.float32),
-        np.zeros(AT_ONCE, np.uint8),
-        np.empty((2, 3), np.float32),
-    )
+    return Visible(np.empty(9, np.float32), np.zeros(AT_ONCE, np.uint8), np.empty((2, 3), np.float32))
 
 
 @inlined

@@ -38,5 +38,4 @@ from octex.jit.vectors import sixteen_at as sixteen_at
 from octex.jit.vectors import spline_at_eight as spline_at_eight
 from octex.jit.vectors import spline_box as spline_box
 from octex.jit.vectors import squares_to_boxes as squares_to_boxes
-from octex.jit.vectors import weighted_cube as weighted_cube
 from octex.jit.vectors import weighted_rows as weighted_rows

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from operator import is_
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numba
 import numpy as np
@@ -88,44 +88,6 @@ def direct(kernel: Function) -> Function:
     return getattr(kernel, "compiled", kernel)
 
 
-def kernel(function: Function) -> Function:
-    """Compile ``function`` on its first call, cached on disk, releasing the GIL.
-
-    Kernels take arrays, scalars and named tuples of them; they never raise and never allocate per element.
-    """
-    return _compiled(function, Kernel)
-
-
-def summing_kernel(function: Function) -> Function:
-    """Compile like ``kernel``, with sums reordered for vectors: their last bits may vary."""
-    return _compiled(function, Kernel, fastmath={"reassoc", "contract"})
-
-
-def fused_kernel(function: Function) -> Function:
-    """Compile like ``kernel``, with a product and a sum as one instruction, rounded once."""
-    return _compiled(function, Kernel, fastmath={"contract"})
-
-
-def part(function: Function) -> Function:
-    """Compile ``function`` for kernels only, a seventh faster; it may create arrays."""
-    return _compiled(function)
-
-
-def fused_part(function: Function) -> Function:
-    """Compile like ``part``, with a product and a sum as one instruction, rounded once."""
-    return _compiled(function, fastmath={"contract"})
-
-
-def step(function: Function) -> Function:
-    """Compile like ``part`` a function that creates no arrays; a call takes 100 to 200 ns less."""
-    return _compiled(function, _nrt=False)
-
-
-def inlined(function: Function) -> Function:
-    """Compile like ``step``, into each calling kernel: for the small steps of a hot loop."""
-    return _compiled(function, _nrt=False, forceinline=True)
-
-
 def by_constants(function: Function) -> Function:
     """Let numba compile a part for each constant argument: lookups take 3 to 15 % less time."""
     if isinstance(function, Part):
@@ -133,16 +95,43 @@ def by_constants(function: Function) -> Function:
     return function
 
 
-def fused_inlined(function: Function) -> Function:
-    """Compile like ``inlined``, with a product and a sum as one instruction, rounded once."""
-    return _compiled(function, _nrt=False, forceinline=True, fastmath={"contract"})
+class Decorator(Protocol):
+    """Compiles a function on its first call, cached on disk, releasing the GIL."""
+
+    def __call__(self, function: Function, /) -> Function:
+        """Return the compiled function."""
 
 
-def _compiled(function: Function, kind: type[Part] = Part, **options: Any) -> Function:
-    if DISABLED:
-        return function
-    from octex.jit.cache import cached  # not above: no code is compiled from it
-
+def _decorator(kind: type[Part], **options: Any) -> Decorator:
     # Nobody calls kernels from C: without that entry, each compiles faster.
-    options = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options}
-    return kind(cached(function, {**options, "no_cpython_wrapper": kind is Part}))  # type: ignore[return-value]
+    entries = {"no_cfunc_wrapper": True, "no_cpython_wrapper": kind is Part}
+    options = {"nogil": True, "error_model": "numpy", **entries, **options}
+
+    def compiled(function: Function) -> Function:
+        if DISABLED:
+            return function
+        from octex.jit.cache import cached  # not above: no code is compiled from it
+
+        return kind(cached(function, options))  # type: ignore[return-value]
+
+    return compiled
+
+
+#: Rounds a product and a sum once, as one instruction.
+_FUSED = {"fastmath": {"contract"}}
+#: Creates no arrays; a call takes 100 to 200 ns less.
+_STEP = {"_nrt": False}
+#: Compiled into each calling kernel: for the small steps of a hot loop.
+_INLINED = {**_STEP, "forceinline": True}
+
+#: Kernels take arrays, scalars and named tuples of them; they never raise and never allocate per element.
+kernel = _decorator(Kernel)
+fused_kernel = _decorator(Kernel, **_FUSED)
+#: Sums are reordered for vectors: their last bits may vary.
+summing_kernel = _decorator(Kernel, fastmath={"reassoc", "contract"})
+#: For kernels only: a seventh faster to compile. It may create arrays.
+part = _decorator(Part)
+fused_part = _decorator(Part, **_FUSED)
+step = _decorator(Part, **_STEP)
+inlined = _decorator(Part, **_INLINED)
+fused_inlined = _decorator(Part, **_FUSED, **_INLINED)

@@ -187,80 +187,20 @@ def add_to_rows(rows: Any, numbers: Any, weights: Any, first: int, end: int, ste
         put(rows, begin, row + four(weights[at] * lanes(row)[3]) * change)
 
 
-@inlined
-def _summed(a: Any, b: Any, c: Any, weights: Any) -> Any:
-    """Return the sum of three vectors under weights."""
-    return four(weights[0]) * a + four(weights[1]) * b + four(weights[2]) * c
-
-
-@inlined
-def _line(rows: Any, at: int, step: int, weights: Any) -> Any:
-    """Sum three rows, ``step`` numbers apart, under weights."""
-    return _summed(four_at(rows, at), four_at(rows, at + step), four_at(rows, at + 2 * step), weights)
-
-
-@inlined
-def _plane(rows: Any, at: int, steps: Any, of_x: Any, of_y: Any) -> Any:
-    """Sum three lines under weights."""
-    x, y = 4 * steps[0], 4 * steps[1]
-    lines = _line(rows, at, x, of_x), _line(rows, at + y, x, of_x), _line(rows, at + 2 * y, x, of_x)
-    return _summed(lines[0], lines[1], lines[2], of_y)
-
-
-@inlined
+@fused_inlined
 def spline_box(rows: Any, first: int, steps: Any, of_x: Any, of_y: Any, of_z: Any) -> Any:
     """Return Σ of_z[k] · of_y[j] · of_x[i] · rows[first + (i, j, k) · steps], 0 … 2: four float32.
 
-    ``rows`` (n, 4) are float32, C-ordered; the weights are tuples of three float32. Sums along one axis after
-    the other: 39 products of vectors, few of which wait for others.
-    """
-    at, z = 4 * first, 4 * steps[2]
-    lower, upper = _plane(rows, at, steps, of_x, of_y), _plane(rows, at + 2 * z, steps, of_x, of_y)
-    return lanes(_summed(lower, _plane(rows, at + z, steps, of_x, of_y), upper, of_z))
-
-
-@fused_inlined
-def weighted_cube(rows: Any, at: int, step: int, along_x: Any, along_y: Any, along_z: Any) -> Any:
-    """Return Σ x[i] · y[j] · z[k] · (the four of ``rows`` at 4 · (at + i + step · (j + step · k))).
-
-    Weights are three float32 along each axis; ``rows`` is float32 and C-ordered.
+    ``rows`` (n, 4) are float32, C-ordered; the weights are tuples of three float32.
     """
     total = four(0.0)
     for k in range(3):
         for j in range(3):
-            line, first = four(0.0), 4 * (at + step * (j + step * k))
+            line, at = four(0.0), first + steps[1] * j + steps[2] * k
             for i in range(3):
-                line = line + four(along_x[i]) * four_at(rows, first + 4 * i)
-            total = total + four(along_y[j] * along_z[k]) * line
+                line = line + four(of_x[i]) * four_at(rows, 4 * (at + steps[0] * i))
+            total = total + four(of_y[j] * of_z[k]) * line
     return lanes(total)
-
-
-@fused_inlined
-def _with_row(totals: Any, rows: Any, row: int, weight: Any) -> Any:
-    """Add a row's four numbers times weights to four totals."""
-    at = np.uint64(row)
-    return (
-        totals[0] + weight * eight(rows[at, 0]),
-        totals[1] + weight * eight(rows[at, 1]),
-        totals[2] + weight * eight(rows[at, 2]),
-        totals[3] + weight * eight(rows[at, 3]),
-    )
-
-
-@fused_inlined
-def _with_plane(totals: Any, rows: Any, first: int, of_x: Any, of_y: Any, of_z: Any) -> Any:
-    """Add the weighted sum of nine rows to four totals."""
-    none = eight(0.0)
-    plane = (none, none, none, none)
-    for j in range(3):
-        for i in range(3):
-            plane = _with_row(plane, rows, first + i + 3 * j, of_x[i] * of_y[j])
-    return (
-        totals[0] + of_z * plane[0],
-        totals[1] + of_z * plane[1],
-        totals[2] + of_z * plane[2],
-        totals[3] + of_z * plane[3],
-    )
 
 
 @fused_inlined
@@ -269,11 +209,16 @@ def spline_at_eight(rows: Any, first: int, of_x: Any, of_y: Any, of_z: Any) -> A
 
     ``rows`` (n, 4) are float32; the weights are tuples of three vectors.
     """
-    none = eight(0.0)
-    totals = (none, none, none, none)
+    a = b = c = d = eight(0.0)
     for k in range(3):
-        totals = _with_plane(totals, rows, first + 9 * k, of_x, of_y, of_z[k])
-    return totals
+        p = q = r = s = eight(0.0)
+        for j in range(3):
+            for i in range(3):
+                at, weight = np.uint64(first + i + 3 * j + 9 * k), of_x[i] * of_y[j]
+                p, q = p + weight * eight(rows[at, 0]), q + weight * eight(rows[at, 1])
+                r, s = r + weight * eight(rows[at, 2]), s + weight * eight(rows[at, 3])
+        a, b, c, d = a + of_z[k] * p, b + of_z[k] * q, c + of_z[k] * r, d + of_z[k] * s
+    return a, b, c, d
 
 
 @fused_inlined

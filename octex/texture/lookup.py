@@ -14,8 +14,7 @@ from octex.checks import as_array, as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
 from octex.field.field import Field, NotFiniteError
 from octex.field.footprints import ROUND, Footprints, long_footprints
-from octex.field.listing import Listing, Reads
-from octex.field.lookups import ChannelRows, Lookup, Query
+from octex.field.lookups import ChannelRows, Listing, Lookup, Query, Reads
 from octex.field.splines import FILTERS
 from octex.parallel import Run, ordered_map, workers
 from octex.texture.channel import NO_GRADIENTS, Channel, make_unit, mixed_cells, stored

@@ -12,7 +12,7 @@ import numpy as np
 from octex.arrays import Array, Int64s, bit_counts, in_runs
 from octex.checks import as_choice
 from octex.container import header_length
-from octex.field.listing import Reads, joined_reads
+from octex.field.lookups import Reads, joined_reads
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.parallel import Run
 from octex.texture.lookup import Request, in_blocks

@@ -93,10 +93,8 @@ def cull(tree: Octree, is_kept: Bools) -> Edited:
 
     ``is_kept`` (cells,) selects leaves; its values for nodes do not count.
     """
-    first = tree.arrays.level_cells
     leaves = [
-        codes[~is_node & is_kept[first[level] : first[level + 1]]]
-        for level, (codes, is_node) in enumerate(tree.walk())
+        codes[~is_node & is_kept[tree.cells_at(level)]] for level, (codes, is_node) in enumerate(tree.walk())
     ]
     return rebuilt(tree, leaves)
 
@@ -228,13 +226,12 @@ def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
     built = Octree.from_levels(leaves)
     n_old = tree.n_cells
     old_cells = np.full(built.n_cells, -1, np.int64)
-    starts, old_starts = built.arrays.level_cells, tree.arrays.level_cells
     is_node = np.zeros(built.n_cells, np.bool_)
     for level, ((codes, nodes), (old_codes, _)) in enumerate(zip(built.walk(), tree.walk(), strict=False)):
-        of_level = slice(int(starts[level]), int(starts[level + 1]))
+        of_level = built.cells_at(level)
         is_node[of_level] = nodes & (built.n_leaves > 0)  # a root without children keeps nothing
         indices = indices_in(codes, old_codes)
-        old_cells[of_level] = np.where(indices >= 0, indices + old_starts[level], -1)
+        old_cells[of_level] = np.where(indices >= 0, indices + tree.level_cells[level], -1)
     del codes, nodes, old_codes, indices  # at the deepest level as large as half of the arrays below
     flags, areas = np.zeros((2, built.n_cells), np.uint8)
     shared = np.flatnonzero(old_cells >= 0)

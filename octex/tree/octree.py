@@ -14,16 +14,7 @@ from octex.checks import as_array, as_depth
 from octex.errors import ArgumentError
 from octex.jit import kernel, trailing_zeros
 from octex.tree.children import children, groups_of
-from octex.tree.layout import (
-    KEPT,
-    MAX_CELLS,
-    MAX_DEPTH,
-    NO_KEPT,
-    NO_SPLIT,
-    KeptTable,
-    SplitTable,
-    TreeArrays,
-)
+from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, NO_KEPT, NO_SPLIT, KeptTable, SplitTable, TreeArrays
 from octex.tree.search import child
 from octex.tree.validate import check_layout, check_meaning
 
@@ -151,6 +142,10 @@ class Octree:
     def is_node(self, level: int) -> Bools:
         """Return which cells of a level are nodes. Raises ArgumentError if there is no such level."""
         return self.walked_to(level)[1]
+
+    def cells_at(self, level: int) -> slice:
+        """Return the numbers of a level's cells."""
+        return slice(*self.level_cells[level : level + 2].tolist())
 
     def leaf_cells(self) -> Int64s:
         """Numbers of all leaves, level by level."""

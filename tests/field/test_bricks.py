@@ -5,7 +5,7 @@ import pytest
 
 from octex.channels import BASE_COLOR
 from octex.field import lookups
-from octex.jit import kernel, refine_rows, weighted_cube
+from octex.jit import kernel, refine_rows, spline_box
 from octex.texture import Channel, OctreeTexture
 from octex.texture import lookup as blocks
 from octex.tree.layout import KEPT, KeptTable
@@ -47,7 +47,7 @@ def test_many_points_are_answered_as_few_are(dtype, seeds, monkeypatch):
 def refine_and_weigh(rows, weights, sums):
     refine_rows(rows, 4, 8, 40, 16, 8, 2)
     x, y, z = (weights[0], weights[1], weights[2]), (weights[3], weights[4], weights[5]), weights
-    sums[0], sums[1], sums[2], sums[3] = weighted_cube(rows, 3, 4, x, y, (z[6], z[7], z[8]))
+    sums[0], sums[1], sums[2], sums[3] = spline_box(rows, 3, (1, 4, 16), x, y, (z[6], z[7], z[8]))
 
 
 def test_rows_of_four_are_refined_and_weighed():
@@ -114,7 +114,7 @@ def painted(depth):
 @pytest.mark.parametrize("filter", ["linear", "quadratic"])
 def test_beside_finer_paint_tiles_answer_as_the_walk_does(filter):
     texture, walked = painted(5), painted(5)
-    assert texture._field.painted is not None
+    assert texture._field.painted
     setattr(walked._field, "painted", None)  # noqa: B010
     points = np.concatenate([reach * on_shell(2000) for reach in np.float32([1.0, 1.02, 0.8])])
     for view in ({}, {"gradient": True}, {"normals": points - np.float32(0.5)}):
