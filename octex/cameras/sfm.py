@@ -213,8 +213,9 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
     if not (0 <= 2 + _WIDTH * count <= len(words) and count.is_integer()):
         raise BrokenError(f"the number of cameras, {count:g}, is more than the file has room for")
     names: list[str] = []
-    lists = (path.with_name(name) for name in (f"{path.stem}.list.txt", f"{path.stem}_list.txt", "list.txt"))
-    list_file = next(filter(is_file, lists), None)
+    ending = "".join(path.suffixes[:-1])  # Bundler lists the images of bundle.rd.out in list.rd.txt
+    lists = f"{path.stem}.list.txt", f"{path.stem}_list.txt", f"list{ending}.txt", "list.txt"
+    list_file = next(filter(is_file, map(path.with_name, lists)), None)
     if list_file is not None:
         lines = read_bytes(list_file).decode("utf-8", errors="replace").splitlines()
         # Bundler's lists have a zero and a focal length after each name.

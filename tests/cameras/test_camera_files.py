@@ -318,6 +318,8 @@ def test_bundler_cameras_see_what_its_manual_says(tmp_path):
     pixels = bent("RADIAL", (-0.2, 0.05)) * 500 + [320, 240]
     for frame in frames:
         sees(frame.camera((640, 480)), pixels)
+    (tmp_path / "list.rd.txt").write_text("C:\\scan\\a.jpg\nb.jpg\nc.jpg\n")  # of undistorted images
+    assert [frame.image for frame in read_cameras(path)] == [tmp_path / "a.jpg", tmp_path / "c.jpg"]
 
 
 def test_a_list_of_more_images_than_bundler_has_cameras_is_refused(tmp_path):
