@@ -39,6 +39,11 @@ from octex.files import listing, read_bytes, replacing
 MARK = "octex_cameras"
 _VERSION = 1
 _LISTED = 10
+_UNKNOWN = (
+    "is not a camera file; give a .gltf or .glb file, a transforms.json, a COLMAP model, Metashape's "
+    ".xml, OpenMVS's .mvs, Meshroom's .sfm, OpenSfM's reconstruction.json, OpenMVG's sfm_data.json, "
+    "Bundler's .out, an .npz of viewmats and Ks, or a file that octex wrote"
+)
 
 
 def read_cameras(path: str | os.PathLike[str]) -> list[Frame]:
@@ -67,6 +72,8 @@ def _read(path: Path, content: bytes) -> list[Frame]:
     if content.removeprefix(codecs.BOM_UTF8).lstrip().startswith(b"<"):
         return metashape.read(path, content)
     text = content.decode("utf-8-sig")
+    if text.strip() and not text.lstrip().startswith(("{", "[")):
+        raise BrokenError(_UNKNOWN)
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -81,11 +88,7 @@ def _read(path: Path, content: bytes) -> list[Frame]:
             return read_fields(path, document)
     if "asset" in document:
         return gltf.read(path, content)
-    raise BrokenError(
-        "is not a camera file; give a .gltf or .glb file, a transforms.json, a COLMAP model, Metashape's "
-        ".xml, OpenMVS's .mvs, Meshroom's .sfm, OpenSfM's reconstruction.json, OpenMVG's sfm_data.json, "
-        "Bundler's .out, an .npz of viewmats and Ks, or a file that octex wrote"
-    )
+    raise BrokenError(_UNKNOWN)
 
 
 def _read_octex(path: Path, document: dict[str, Any]) -> list[Frame]:

@@ -108,6 +108,11 @@ def is_file(path: Path) -> bool:
         return False
 
 
+def with_ending(base: Path, endings: Sequence[str]) -> Path:
+    """Return the first path with one of these endings that is a file, or else ``base``."""
+    return next(filter(is_file, (Path(f"{base}{ending}") for ending in endings)), base)
+
+
 def centred(focal: float, width: int, height: int) -> Float64s:
     """Return the intrinsics with the principal point in the middle of the image."""
     return intrinsics(focal, focal, width / 2, height / 2)

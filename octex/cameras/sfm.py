@@ -14,7 +14,17 @@ import numpy as np
 
 from octex.cameras.camera import FLIP_YZ, intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, centred, image_path, is_file, rigid, rotation_of, view_matrix
+from octex.cameras.frames import (
+    Frame,
+    Optics,
+    centred,
+    image_path,
+    is_file,
+    rigid,
+    rotation_of,
+    view_matrix,
+    with_ending,
+)
 from octex.cameras.lens import DistortionModel
 from octex.files import read_bytes
 
@@ -42,6 +52,8 @@ _OPENSFM: dict[str, tuple[DistortionModel, str]] = {
     "brown": ("opencv", "k1 k2 p1 p2 k3"),
     **dict.fromkeys(("fisheye", "fisheye_opencv"), ("fisheye", "k1 k2 k3 k4")),
 }
+#: Endings that OpenSfM adds to the names of undistorted images.
+_UNDISTORTED = "", ".jpg", ".tif", ".png"
 
 
 def read_meshroom(path: Path, document: dict[str, Any]) -> list[Frame]:
@@ -178,7 +190,7 @@ def read_opensfm(path: Path, reconstructions: list[dict[str, Any]]) -> list[Fram
             angle = float(np.linalg.norm(axis))
             quaternion = np.append(np.cos(angle / 2), np.sinc(angle / 2 / np.pi) / 2 * axis)
             view = rigid(rotation_of(quaternion, "rotation"), shot.numbers("translation", 3))
-            image = image_path(path, f"images/{name}")
+            image = with_ending(image_path(path, f"images/{name}"), _UNDISTORTED)
             frames.append(Frame(name, path, optics, view_matrix(view), image))
     return frames
 
@@ -205,7 +217,8 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
     """Read the cameras of Bundler, RealityCapture, VisualSFM and others that have a focal length.
 
     A camera maps X to R·X + t and looks along −z with y up. At normalised (x, y) the pixel is f·(1 + k1·s +
-    k2·s²)·(x, y) from the image's middle, s = x² + y². A list in the same folder names the images.
+    k2·s²)·(x, y) from the image's middle, s = x² + y². A list in the same folder names the images, or
+    list.txt next to a folder ``bundle``.
     """
     words = content.decode("utf-8", errors="replace").partition("\n")[2].split()
     what = "the number of cameras"
@@ -213,7 +226,12 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
     if not (0 <= 2 + _WIDTH * count <= len(words) and count.is_integer()):
         raise BrokenError(f"the number of cameras, {count:g}, is more than the file has room for")
     names: list[str] = []
-    lists = (path.with_name(name) for name in (f"{path.stem}.list.txt", f"{path.stem}_list.txt", "list.txt"))
+    ending = "".join(path.suffixes[:-1])  # Bundler lists the images of bundle.rd.out in list.rd.txt
+    in_folder = f"{path.stem}.list.txt", f"{path.stem}_list.txt", f"list{ending}.txt", "list.txt"
+    lists = [path.with_name(name) for name in in_folder]
+    folder = path.absolute().parent
+    if folder.name == "bundle":  # Bundler's own, next to its list
+        lists.append(folder.with_name("list.txt"))
     list_file = next(filter(is_file, lists), None)
     if list_file is not None:
         lines = read_bytes(list_file).decode("utf-8", errors="replace").splitlines()
@@ -236,6 +254,6 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
             view = view_matrix(FLIP_YZ @ rigid(rotation.reshape(3, 3), shift))
         name = names[number] if names else str(number)
         optics = Optics(None, partial(centred, focal), (*bends, 0.0, 0.0))
-        image = image_path(path, name) if names else None
+        image = image_path(list_file, name) if list_file and names else None
         frames.append(Frame(name, path, optics, view, image, is_named=bool(names)))
     return frames

@@ -11,7 +11,7 @@ from typing import Any
 from octex.arrays import Float64s
 from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, image_path, is_file, view_matrix
+from octex.cameras.frames import Frame, Optics, image_path, view_matrix, with_ending
 from octex.cameras.lens import DistortionModel
 
 _ENDINGS = ("", ".png", ".jpg", ".jpeg")
@@ -38,8 +38,7 @@ def read(path: Path, document: dict[str, Any]) -> list[Frame]:
             pose = record.matrix("transform_matrix", (4, 4), (3, 4))
             with within("transform_matrix"):
                 view = view_matrix(pose, "opengl")
-        base = image_path(path, name)
-        image = next(filter(is_file, (Path(f"{base}{ending}") for ending in _ENDINGS)), base)
+        image = with_ending(image_path(path, name), _ENDINGS)
         frames.append(Frame(name, path, optics, view, image))
     return frames
 

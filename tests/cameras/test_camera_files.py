@@ -318,6 +318,16 @@ def test_bundler_cameras_see_what_its_manual_says(tmp_path):
     pixels = bent("RADIAL", (-0.2, 0.05)) * 500 + [320, 240]
     for frame in frames:
         sees(frame.camera((640, 480)), pixels)
+    (tmp_path / "list.rd.txt").write_text("C:\\scan\\a.jpg\nb.jpg\nc.jpg\n")  # of undistorted images
+    assert [frame.image for frame in read_cameras(path)] == [tmp_path / "a.jpg", tmp_path / "c.jpg"]
+
+
+def test_bundler_leaves_the_list_next_to_its_folder(tmp_path):
+    (tmp_path / "bundle").mkdir()
+    (tmp_path / "bundle" / "bundle.out").write_text(bundler())
+    (tmp_path / "list.txt").write_text("./a.jpg\n./b.jpg\n./c.jpg\n")
+    frames = read_cameras(tmp_path / "bundle" / "bundle.out")
+    assert [frame.image for frame in frames] == [tmp_path / "a.jpg", tmp_path / "c.jpg"]
 
 
 def test_a_list_of_more_images_than_bundler_has_cameras_is_refused(tmp_path):

@@ -168,6 +168,7 @@ REFUSED = {
         (b"\xff\xfe", "is not UTF-8 text"),
         (b"[]", "its JSON must be an object"),
         (b"{}", "is not a camera file; give"),
+        (b"NVM_V3\n\n2\n", "is not a camera file; give"),
         (b"[" * 200_000, "is not JSON (a number or nesting too long)"),
         (b'{"frames": ' + b"9" * 10_000 + b"}", "is not JSON (a number or nesting too long)"),
         (b'{"frames": 1e999}', "frames must be a list of objects, not inf"),

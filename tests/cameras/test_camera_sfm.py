@@ -64,6 +64,13 @@ def test_an_opensfm_camera_that_is_not_turned_is_read(tmp_path):
     assert np.array_equal(frame.world_to_camera[:3, :3], np.eye(3))
 
 
+def test_undistorted_images_of_opensfm_have_an_ending_more(tmp_path):
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "a.jpg.tif").touch()
+    (frame,) = read_cameras(write_json(tmp_path / "reconstruction.json", opensfm(focal=0.8)))
+    assert frame.image == tmp_path / "images" / "a.jpg.tif"
+
+
 @pytest.mark.parametrize(
     ("camera", "complaint"),
     [
