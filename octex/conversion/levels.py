@@ -177,9 +177,7 @@ def cell_levels(
         is_reached = reached(smaller)
         blocks = smaller.chosen(is_reached)
         outside = _outside(coarse.of_cells(blocks.level), ~is_reached, columns) if has_gaps else None
-    for each in (source, coverage):
-        if each is not None:
-            each.prepare()
+    source, coverage = (each and each.prepared(root.members) for each in (source, coverage))
     cell = placement.size / 2**depth
     job = VoxelJob(
         surface.name, source, channels, columns, blocks, cell, has_samples, has_gaps, coverage, wanted

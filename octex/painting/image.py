@@ -21,16 +21,15 @@ from octex.cameras.camera import Camera
 from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb, screen_color
 from octex.checks import as_choice, as_items, as_memory, as_number, as_path, as_reals, is_path
-from octex.conversion.large import scratch
+from octex.conversion.large import NOT_STORED, Stages, digest_of, scratch
 from octex.errors import ArgumentError, ImageError
 from octex.files import open_file
 from octex.jit import inlined, kernel
-from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.sharpened import sharpen
 from octex.painting.unwrap import Patch
 from octex.parallel import Run, folder_of, usual_memory
 from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
-from octex.source.images.pyramid import resized
+from octex.source.images.pyramid import shrink
 from octex.source.images.taps import catmull_rom
 
 Image = str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike
@@ -206,7 +205,7 @@ def _window_of(
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
     limits = _multiply(pixels)
     for above, level in pairwise(mips):
-        level[:] = resized(above, *level.shape[:2])
+        shrink(above, level)
     if (limits[0] != limits[1]).any():
         sharpen(pixels, form.space in ("srgb", "linear"))
     return {"pixels": rows, "sizes": sizes, "range": limits, "window": np.array(window, np.int64)}

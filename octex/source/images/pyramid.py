@@ -153,7 +153,7 @@ def _shrunk(image: ImageTexels, height: int, width: int) -> Float32s:
     for first in range(0, height, band):
         end = None if remainder else (first + band) * rows
         part = image._replace(texels=image.texels[first * rows : end])
-        _reduce(_decoded(part), values[first : first + band])
+        shrink(_decoded(part), values[first : first + band])
     return values
 
 
@@ -203,12 +203,13 @@ def _encoded(values: Float32s, image: ImageTexels, as_floats: bool) -> Array:
 def resized(values: Float32s, height: int, width: int) -> Float32s:
     """Return exact means (height, width, 4) over each texel's area, for a size that is no larger."""
     smaller = np.empty((height, width, 4), np.float32)
-    _reduce(values, smaller)
+    shrink(values, smaller)
     return smaller
 
 
 @kernel
-def _reduce(values: Float32s, smaller: Float32s) -> None:
+def shrink(values: Float32s, smaller: Float32s) -> None:
+    """Write exact means over the area of each texel of ``smaller``, which is no larger."""
     height, width = smaller.shape[0], smaller.shape[1]
     step_x, step_y = values.shape[1] / width, values.shape[0] / height
     scale = 1.0 / (step_x * step_y)
