@@ -231,7 +231,11 @@ class Projected(PaintSource):
         """Return the pixels of a shot that see triangles (m,); upper bounds where hidden ones are painted."""
         if self.terms.hidden:
             return _pixels_under(shot.camera, _summed(shot.seen.rows), self.vertices, self.triangles)
-        return _pixels_of(shot.seen, len(self.triangles))
+        counts = np.zeros(len(self.triangles), np.int32)
+        counts[shot.seen.triangles] = np.bincount(
+            shot.seen.rows.reshape(-1) + 1, minlength=len(shot.seen.triangles) + 1
+        )[1:]
+        return counts
 
     def prepared(self, triangles: Int32s) -> Self:
         """Return this paint, with the normals of these triangles only."""
@@ -365,17 +369,6 @@ class Projected(PaintSource):
         for shot in self.shots:
             narrow(shot, *mesh, self.terms.back_faces, triangles, barycentric, widths)
         return widths
-
-
-@kernel
-def _pixels_of(seen: Visibility, n_triangles: int) -> Int32s:
-    """Return the pixels that see each of ``n_triangles`` triangles."""
-    counts = np.zeros(n_triangles, np.int32)
-    for row in range(seen.rows.shape[0]):
-        for column in range(seen.rows.shape[1]):
-            if seen.rows[row, column] >= 0:
-                counts[seen.triangles[seen.rows[row, column]]] += 1
-    return counts
 
 
 @kernel

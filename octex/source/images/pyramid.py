@@ -169,7 +169,7 @@ def _decoded(image: ImageTexels) -> Float32s:
     if image.texels.dtype == np.float32:
         values[:] = image.texels
     else:
-        _decode(image.texels, decode_table("uint16", "srgb" if image.is_light else "data"), values)
+        decode_texels(image.texels, decode_table("uint16", "srgb" if image.is_light else "data"), values)
     if image.covered:
         if image.threshold >= 0.0:
             values[..., 3] = values[..., 3] >= image.threshold
@@ -178,7 +178,8 @@ def _decoded(image: ImageTexels) -> Float32s:
 
 
 @kernel
-def _decode(texels: Texels, table: Float32s, values: Float32s) -> None:
+def decode_texels(texels: Texels, table: Float32s, values: Float32s) -> None:
+    """Decode codes by a table, and alpha to a fraction."""
     for y in range(texels.shape[0]):
         for x in range(texels.shape[1]):
             for lane in range(3):
