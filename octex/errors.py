@@ -16,8 +16,6 @@ DefectError                 a defect of octex: it made inconsistent parts from v
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from enum import IntEnum
 from typing import Self
 
@@ -95,12 +93,3 @@ class DefectError(Exception):
 def damaged(fault: str) -> ModelError:
     """Return the error for a fault of a file that only another export can repair."""
     return ModelError(f"{fault}; export it again")
-
-
-@contextmanager
-def own_making() -> Iterator[None]:
-    """Raise DefectError for any refusal inside: for parts that octex made from checked input."""
-    try:
-        yield
-    except InputError as error:
-        raise DefectError(str(error)) from error

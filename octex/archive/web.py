@@ -30,9 +30,10 @@ from octex.channels import decode
 from octex.errors import ModelError
 from octex.files import OCTREE_EXTENSION, open_file
 from octex.gltf import Document
-from octex.tree.areas import AREAS, area_codes, shared_codes
+from octex.tree.areas import AREAS, area_codes
 from octex.tree.children import groups_of, octants_of
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_CELLS, MAX_DEPTH, SPLIT
+from octex.tree.split import shared_codes
 
 VERSION = 1
 _HEAD = 16

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, cast, get_args
 
 import numpy as np
@@ -229,7 +230,7 @@ class Camera:
         """Whether the lens has any distortion."""
         return self.distortion_model == "fisheye" or any(self.distortion)
 
-    @property
+    @cached_property
     def lens(self) -> Float64s:
         """The distortion in the form that kernels read: `octex.cameras.lens.lens_numbers`."""
         return lens_numbers(self.distortion_model, self.distortion)

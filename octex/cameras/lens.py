@@ -78,6 +78,7 @@ def _rising_until(k: Float64s, d: Float64s) -> float:
     return 1.0 / float(real.max()) if real.size else math.inf
 
 
+@kernel
 def is_bent(lens: Float64s) -> bool:
     """Return whether a lens moves any point."""
     return bool(lens[:_REACH].any())

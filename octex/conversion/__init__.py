@@ -9,5 +9,5 @@ fit         leaf values that fit the field to the samples: lookups finds the tap
 detail      local depth, from a function or channel
 adapt       merges leaves where the field stays near: prune makes the trees, differences compares them,
             evaluator evaluates the field, measure says how far values are apart
-large       arrays in files
+large       arrays in files, and finished stages, stored in a folder for the next call
 """

@@ -174,7 +174,7 @@ class Fitter(NamedTuple):
         job = FitJob(field, known, samples, leaves, heads, self.unfitted, is_facing, groups, ranges)
         counts = leaves.ends - leaves.firsts
         size = min(max(int(counts.sum()) // _BRICKS, _LEAST_SAMPLES), BRICK_SAMPLES)
-        bricks = list(pairwise(_cuts(counts, size, LEAF_SAMPLES).tolist()))
+        bricks = list(pairwise(_cuts(counts, size, LEAF_SAMPLES)))
         fitted = ordered_map(
             self.executor, partial(_fit_brick, job), bricks, stage="fit", progress=self.progress
         )
@@ -192,19 +192,13 @@ class Fitter(NamedTuple):
         return {**channels, **new_channels}
 
 
-@kernel
-def _cuts(counts: Int64s, brick: int, most: int) -> Int64s:
+def _cuts(counts: Int64s, brick: int, most: int) -> list[int]:
     """Cut leaves with counts (n,) of samples into runs of about ``brick``, ``most`` at most of each leaf."""
-    cuts = np.zeros(counts.sum() // brick + 3, np.int64)
-    n_cuts = 1
-    size = 0
-    for leaf in range(counts.size):
-        size += min(counts[leaf], most)
-        if size >= brick or leaf == counts.size - 1:
-            cuts[n_cuts] = leaf + 1
-            n_cuts += 1
-            size = 0
-    return cuts[:n_cuts].copy()
+    totals, cuts = np.append(0, np.cumsum(np.minimum(counts, most))), [0]
+    while cuts[-1] < counts.size:
+        end = int(np.searchsorted(totals, totals[cuts[-1]] + brick))
+        cuts.append(min(end, counts.size))
+    return cuts
 
 
 def _groups(channels: Sequence[ChannelFormat]) -> list[ComponentGroup]:

@@ -177,9 +177,7 @@ def cell_levels(
         is_reached = reached(smaller)
         blocks = smaller.chosen(is_reached)
         outside = _outside(coarse.of_cells(blocks.level), ~is_reached, columns) if has_gaps else None
-    for each in (source, coverage):
-        if each is not None:
-            each.prepare()
+    source, coverage = (each and each.prepared(root.members) for each in (source, coverage))
     cell = placement.size / 2**depth
     job = VoxelJob(
         surface.name, source, channels, columns, blocks, cell, has_samples, has_gaps, coverage, wanted
@@ -347,13 +345,14 @@ def climb(
 
     Only the cells with ascending ``codes`` are encoded, and the cells above them; None: all.
     """
-    levels = [sums if codes is None else sums_of(sums, np.searchsorted(sums.codes, codes))]
-    for _ in range(steps):
-        sums = sum_children(sums)
-        codes = None if codes is None else distinct(codes >> 3)
-        levels.append(sums if codes is None else sums_of(sums, np.searchsorted(sums.codes, codes)))
-    finest, *above = levels  # the others are encoded at once: a call takes as long as some hundred cells
-    return [_encoded(finest, channels, columns), *_encoded_levels(above, channels, columns)], sums
+    levels = []
+    for step in range(steps + 1):
+        if step:
+            sums = sum_children(sums)
+            codes = None if codes is None else distinct(codes >> 3)
+        level = sums if codes is None else sums_of(sums, np.searchsorted(sums.codes, codes))
+        levels.append(_encoded(level, channels, columns))
+    return levels, sums
 
 
 def _encoded(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> LevelCells:
@@ -381,25 +380,6 @@ def _encoded(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns
         flags = flags.copy()
         flags[cells] |= SPLIT
     return LevelCells(flags, means.areas, values, facing_areas, facing_values)
-
-
-def _encoded_levels(
-    levels: Sequence[Sums], channels: Sequence[ChannelFormat], columns: SumColumns
-) -> Iterator[LevelCells]:
-    if not levels:
-        return
-    flags, areas, values, split_areas, split_values = _encoded(
-        Sums(*map(np.concatenate, zip(*levels, strict=True))), channels, columns
-    )
-    rows = np.cumsum(np.where(flags & SPLIT, bit_counts(flags & np.uint8(FACING_FLAGS)), 0))
-    cell = row = 0
-    for level in levels:
-        cells = slice(cell, cell := cell + level.codes.size)
-        split = slice(row, row := int(rows[cell - 1]) if cell else 0)
-        yield LevelCells(
-            flags[cells], areas[cells], [each[cells] for each in values],
-            split_areas[split], [each[split] for each in split_values],
-        )  # fmt: skip
 
 
 def assemble(levels: CellLevels) -> Filled:

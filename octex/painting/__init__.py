@@ -14,5 +14,4 @@ merge       a layer is merged into a texture, in one draft or in pieces
 first       a new texture: filled where no image sees, by multigrid on a graph of sheets; then merged
 layers      strokes into layers above a texture; stack: the layers, their composite and file;
             composites: the composites that strokes lead to, and the eraser on the bottom
-resume      finished stages, stored in a folder for the next call
 """

@@ -6,7 +6,8 @@ averages stay those of the source where nothing changed, and become those of the
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
@@ -16,6 +17,7 @@ from octex.channels import ALPHA, ChannelFormat, alpha_of, decode, encode, plain
 from octex.editing.averages import Residuals, average, average_rows, residuals_at, with_summed_areas
 from octex.editing.nodes import Nodes, nodes_at
 from octex.editing.split import rows_facing, split_in_vain, with_split, without_split
+from octex.errors import DefectError, InputError
 from octex.painting.image import Blend
 from octex.painting.layer import Paint, leave_bare, painted_channel
 from octex.painting.surface import Job
@@ -86,6 +88,15 @@ class Above(NamedTuple):
     nodes: Nodes
     before: Nodes  # in the texture before it was raised
     layer: Nodes  # in the paint octree
+
+
+@contextmanager
+def own_making() -> Iterator[None]:
+    """Raise DefectError for any refusal inside: for parts that octex made from checked input."""
+    try:
+        yield
+    except InputError as error:
+        raise DefectError(str(error)) from error
 
 
 def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -> Float32s:

@@ -18,7 +18,7 @@ from octex.editing.nodes import all_leaves, nodes_at
 from octex.editing.refined import Below, refined_below, refined_rows, refined_values, with_rows
 from octex.editing.runs import carried
 from octex.editing.split import refaced, rows_facing
-from octex.errors import ArgumentError, own_making
+from octex.errors import ArgumentError
 from octex.painting.blend import (
     Above,
     Merge,
@@ -29,6 +29,7 @@ from octex.painting.blend import (
     facings_of_paint,
     may_differ,
     no_parts,
+    own_making,
     read,
     with_areas_above,
     with_split_cells,

@@ -16,21 +16,20 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint16s
+from octex.arrays import Array, Bools, Float32s, Float64s, Int64s
 from octex.cameras.camera import Camera
 from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb, screen_color
 from octex.checks import as_choice, as_items, as_memory, as_number, as_path, as_reals, is_path
-from octex.conversion.large import scratch
+from octex.conversion.large import NOT_STORED, Stages, digest_of, scratch
 from octex.errors import ArgumentError, ImageError
 from octex.files import open_file
 from octex.jit import inlined, kernel
-from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.sharpened import sharpen
 from octex.painting.unwrap import Patch
 from octex.parallel import Run, folder_of, usual_memory
 from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
-from octex.source.images.pyramid import resized
+from octex.source.images.pyramid import decode_texels, shrink
 from octex.source.images.taps import catmull_rom
 
 Image = str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike
@@ -206,7 +205,7 @@ def _window_of(
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
     limits = _multiply(pixels)
     for above, level in pairwise(mips):
-        level[:] = resized(above, *level.shape[:2])
+        shrink(above, level)
     if (limits[0] != limits[1]).any():
         sharpen(pixels, form.space in ("srgb", "linear"))
     return {"pixels": rows, "sizes": sizes, "range": limits, "window": np.array(window, np.int64)}
@@ -290,22 +289,11 @@ def _decoded(
     pixels = np.empty((*texels.shape[:2], 4), np.float32) if out is None else out
     if texels.dtype == np.uint16:
         table = decode_table("uint16", "srgb" if form.space in ("srgb", "linear") else form.space)
-        _decode(np.ascontiguousarray(texels, np.uint16), table, pixels)
+        decode_texels(np.ascontiguousarray(texels, np.uint16), table, pixels)
     else:
         pixels[:, :, :3] = texels[:, :, :3]
         pixels[:, :, 3] = _as_fractions(texels[:, :, 3])
     return pixels
-
-
-@kernel
-def _decode(texels: Uint16s, table: Float32s, pixels: Float32s) -> None:
-    """Decode texels by a table, and alpha to a fraction."""
-    share = np.float32(1.0 / _LARGEST)
-    for row in range(texels.shape[0]):
-        for column in range(texels.shape[1]):
-            for component in range(3):
-                pixels[row, column, component] = table[texels[row, column, component]]
-            pixels[row, column, 3] = min(np.float32(texels[row, column, 3]) * share, np.float32(1.0))
 
 
 def content_of(projection: Projection) -> bytes:

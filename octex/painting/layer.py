@@ -68,10 +68,6 @@ class PaintSource(Source):
     def touched(self) -> Int32s:
         """Return triangles, ascending; all paint lies on them or next to them."""
 
-    def prepared_for(self, triangles: Int32s) -> PaintSource:  # noqa: ARG002
-        """Return this paint, prepared for the triangles next to these."""
-        return self
-
     def reaches(self, blocks: Blocks, placement: Placement, rest: Float64s) -> Bools:  # noqa: ARG002
         """Return which blocks of a root cell may have paint, for a surface at ``rest`` (n, 3)."""
         return np.ones(blocks.codes.size, np.bool_)

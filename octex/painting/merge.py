@@ -32,8 +32,8 @@ from octex.editing.draft import (
 )
 from octex.editing.runs import carried
 from octex.editing.split import refaced
-from octex.errors import ArgumentError, own_making
-from octex.painting.blend import Merge, Merged, averaged_above, no_parts, with_areas_above
+from octex.errors import ArgumentError
+from octex.painting.blend import Merge, Merged, averaged_above, no_parts, own_making, with_areas_above
 from octex.painting.image import BLENDS, Blend
 from octex.painting.layer import Paint, leaves_by_level, paint_of, painted_channel
 from octex.painting.steps import delete_paint, merge_draft

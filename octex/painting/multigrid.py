@@ -133,8 +133,8 @@ def _cycle(levels: list[_GraphLevel], number: int, right: Float64s) -> Float64s:
                 _relax(graph, diagonal, right, x, 0)
             _apply(graph, diagonal, x, residual)
             np.subtract(right, residual, out=residual)
-            coarse = np.zeros((levels[number + 1].diagonal.size, right.shape[1]))
-            _gather(above, residual, coarse)
+            count = levels[number + 1].diagonal.size
+            coarse = np.stack([added(above, column, count) for column in residual.T], axis=1)
             x += _cycle(levels, number + 1, coarse)[above]
     _relax(graph, diagonal, right, x, 1)
     return x
@@ -162,11 +162,3 @@ def _apply(graph: Graph, diagonal: Float64s, x: Float64s, left_sides: Float64s) 
             for row in range(graph.starts[n], graph.starts[n + 1]):
                 total -= graph.weights[row] * x[graph.others[row], component]
             left_sides[n, component] = total
-
-
-@kernel
-def _gather(above: Int64s, values: Float64s, sums: Float64s) -> None:
-    """Sum values (n, components) by coarse node."""
-    for n in range(above.size):
-        for component in range(values.shape[1]):
-            sums[above[n], component] += values[n, component]

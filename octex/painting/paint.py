@@ -14,6 +14,7 @@ from octex.arrays import Float32s
 from octex.cameras.camera import Camera
 from octex.channels import ALPHA, CHANNELS, ChannelFormat, color_in_light
 from octex.checks import as_choice, as_flag, as_reals
+from octex.conversion.large import Stages, stages_in
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.first import FILLS, Fill, started, with_coverage
@@ -22,7 +23,6 @@ from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import Merging, merged
 from octex.painting.project import AROUND, in_fixed_order, take_shots
 from octex.painting.reading import Shot
-from octex.painting.resume import Stages, stages_in
 from octex.painting.steps import Raster, layer_from, rasterize_surface
 from octex.painting.surface import (
     Balance,

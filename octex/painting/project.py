@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from itertools import islice
-from typing import NamedTuple, cast
+from typing import NamedTuple, Self, cast
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from octex.cameras.camera import Camera
 from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat
 from octex.conversion import large
+from octex.conversion.large import NOT_STORED, Stages
 from octex.conversion.levels import SMALL_BITS
 from octex.jit import inlined, kernel
 from octex.painting.image import Mips, Projection, Window, window_of
@@ -33,11 +34,10 @@ from octex.painting.reading import (
     narrow,
     weighted,
 )
-from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import built_once, start
 from octex.source.corners import at_corners
 from octex.source.vectors import Vector
-from octex.tree.morton import decode_cells
+from octex.tree.morton import decode
 from octex.tree.placement import Placement
 from octex.view.shading import face_normals
 from octex.view.visibility import (
@@ -231,9 +231,13 @@ class Projected(PaintSource):
         """Return the pixels of a shot that see triangles (m,); upper bounds where hidden ones are painted."""
         if self.terms.hidden:
             return _pixels_under(shot.camera, _summed(shot.seen.rows), self.vertices, self.triangles)
-        return _pixels_of(shot.seen, len(self.triangles))
+        counts = np.zeros(len(self.triangles), np.int32)
+        counts[shot.seen.triangles] = np.bincount(
+            shot.seen.rows.reshape(-1) + 1, minlength=len(shot.seen.triangles) + 1
+        )[1:]
+        return counts
 
-    def prepared_for(self, triangles: Int32s) -> Projected:
+    def prepared(self, triangles: Int32s) -> Self:
         """Return this paint, with the normals of these triangles only."""
         normals = np.zeros((len(self.triangles), 3, 3), np.float32)  # untouched memory costs nothing
         normals[triangles] = self.shading(triangles)
@@ -242,12 +246,11 @@ class Projected(PaintSource):
     def reaches(self, blocks: Blocks, placement: Placement, rest: Float64s) -> Bools:
         """Return which blocks a shot may see."""
         is_reached, edge = np.zeros(blocks.codes.size, np.bool_), placement.size / 2**blocks.level
-        corners = placement.to_rest(decode_cells(blocks.codes) / 2**blocks.level)
-        mesh = self.vertices, self.triangles, rest
+        mesh, origin = (self.vertices, self.triangles, rest), np.array(placement.origin)
         back_faces = self.terms.back_faces or blocks.bits > SMALL_BITS  # larger blocks count for cells above
         for shot in self.shots:
             seen = _summed(shot.seen.rows)
-            _mark_seen(shot.camera, seen, *mesh, back_faces, blocks, corners, edge, is_reached)
+            _mark_seen(shot.camera, seen, *mesh, back_faces, blocks, origin, edge, is_reached)
         return is_reached
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
@@ -369,17 +372,6 @@ class Projected(PaintSource):
 
 
 @kernel
-def _pixels_of(seen: Visibility, n_triangles: int) -> Int32s:
-    """Return the pixels that see each of ``n_triangles`` triangles."""
-    counts = np.zeros(n_triangles, np.int32)
-    for row in range(seen.rows.shape[0]):
-        for column in range(seen.rows.shape[1]):
-            if seen.rows[row, column] >= 0:
-                counts[seen.triangles[seen.rows[row, column]]] += 1
-    return counts
-
-
-@kernel
 def _summed(rows: Int32s) -> Int32s:
     """Return the summed-area table (height + 1, width + 1) of the pixels that see a triangle."""
     height, width = rows.shape
@@ -423,15 +415,17 @@ def _mark_seen(
     rest: Float64s,
     back_faces: bool,
     blocks: Blocks,
-    corners: Float64s,
+    origin: Float64s,
     edge: float,
     marks: Bools,
 ) -> None:
     """Mark the blocks with triangles that a view may see and that face it, unless ``back_faces`` count.
 
-    A triangle's part in a block lies in a rectangle. One of the four pixels around a painted point sees it.
+    ``origin`` is the root's lowest corner, ``edge`` a block's edge, both at rest. A triangle's part in a
+    block lies in a rectangle. One of the four pixels around a painted point sees it.
     """
     for block in range(marks.size):
+        place = decode(blocks.codes[block])
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
             if marks[block]:
                 break
@@ -450,8 +444,8 @@ def _mark_seen(
                 marks[block] = True
                 break
             u, v = (axis + 1) % 3, (axis + 2) % 3
-            low_u, high_u = _overlap(corners[block, u], edge, p[u], q[u], r[u])
-            low_v, high_v = _overlap(corners[block, v], edge, p[v], q[v], r[v])
+            low_u, high_u = _overlap(place[u] * edge + origin[u], edge, p[u], q[u], r[u])
+            low_v, high_v = _overlap(place[v] * edge + origin[v], edge, p[v], q[v], r[v])
             part = (
                 _posed(low_u - p[u], low_v - p[v], p, q, r, u, v, area, a, b, c),
                 _posed(low_u - p[u], high_v - p[v], p, q, r, u, v, area, a, b, c),

@@ -19,12 +19,12 @@ import numpy as np
 from octex.arrays import Array, Bools, Float32s, Floats, Int64s
 from octex.channels import ALPHA, alpha_of, channel_in, plain_name
 from octex.checks import as_choice, as_flag, as_number
+from octex.conversion.large import digest_of
 from octex.editing.averages import Residuals, average, residuals
 from octex.editing.nodes import Nodes, all_leaves
 from octex.errors import ArgumentError
 from octex.painting.blend import KINDS, Kind, alpha_first, mixed, mixed_residuals, read, write
 from octex.painting.layer import COVERAGE
-from octex.painting.resume import digest_of
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
 from octex.tree.children import children_of, node_cells

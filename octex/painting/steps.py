@@ -28,7 +28,7 @@ from octex.editing.draft import coarsest_of
 from octex.editing.refined import Below, refined_below, refined_values, with_rows
 from octex.editing.runs import carried
 from octex.editing.split import refaced
-from octex.errors import ModelError, own_making
+from octex.errors import ModelError
 from octex.painting.blend import (
     Kind,
     Merge,
@@ -42,6 +42,7 @@ from octex.painting.blend import (
     may_differ,
     no_parts,
     nodes_above,
+    own_making,
     read,
     with_areas_above,
     with_split_cells,
@@ -127,7 +128,6 @@ def rasterize_surface(
     if not touched.size:
         return Raster(channels, placement, surface.bounds, None)
     root = job.surface.grid(placement).around(touched, depth)
-    source = source.prepared_for(root.members)
     filled = cell_levels(
         surface, source, channels, placement, depth, job.executor, job.progress,
         has_samples=fit and not is_plain(source),

@@ -18,12 +18,12 @@ from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, ChannelFormat
 from octex.checks import as_array, as_choice, as_depth, as_flag, as_number, as_whole
+from octex.conversion.large import NOT_STORED, Stages, digest_of
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 from octex.painting.image import Mips, Projection
 from octex.painting.project import Projected, Shading, Sight, sight_of, spread
 from octex.painting.reading import Shot, Terms
-from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.unwrap import Patch
 from octex.parallel import Progress
 from octex.source.surface import Surface

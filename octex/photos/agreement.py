@@ -17,9 +17,9 @@ from functools import partial
 import numpy as np
 
 from octex.arrays import Float32s
+from octex.conversion.large import NOT_STORED, Stages
 from octex.jit import inlined, kernel
 from octex.painting.project import Projected
-from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import ordered_map, sharing
 from octex.photos.patches import (
     batches,

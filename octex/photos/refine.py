@@ -21,6 +21,7 @@ from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
+from octex.conversion.large import Stages, stages_in
 from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.painting.image import (
@@ -34,7 +35,6 @@ from octex.painting.image import (
 )
 from octex.painting.project import Projected, most_ahead, order_key
 from octex.painting.reading import Shot
-from octex.painting.resume import Stages, stages_in
 from octex.painting.surface import BALANCES, Balance, PaintedSurface, key_of
 from octex.parallel import Progress, Run, as_run, ordered_map, workers
 from octex.photos.agreement import agreeing

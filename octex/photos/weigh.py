@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s
+from octex.conversion.large import Stages
 from octex.painting.multigrid import graph_of
 from octex.painting.project import Projected
-from octex.painting.resume import Stages
 from octex.painting.sheets import Sheets, sheets_of
 from octex.painting.surface import PaintOptions
 from octex.photos.agreement import agreeing

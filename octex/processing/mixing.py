@@ -21,12 +21,11 @@ from octex.parallel import ordered_map, sharing, start
 from octex.processing.edit import Centres
 from octex.processing.union import NOTHING, Origins, find_mixed_nodes, take, unite
 from octex.texture import Channel, OctreeTexture
-from octex.tree.areas import shared_codes
 from octex.tree.children import node_cells
 from octex.tree.edit import among
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
 from octex.tree.octree import Octree
-from octex.tree.split import bits_of, counts_of, find_rows, rows_of
+from octex.tree.split import bits_of, counts_of, find_rows, rows_of, shared_codes
 
 #: Share of the second texture in cells of both: a number, a function of the rest positions (n, 3) of cell
 #: centres, or a texture of one channel with one component.

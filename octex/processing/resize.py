@@ -19,11 +19,10 @@ from octex.errors import ArgumentError
 from octex.parallel import Run, as_run, workers
 from octex.processing.edit import with_operation
 from octex.texture import OctreeTexture, as_texture
-from octex.tree.areas import shared_codes
 from octex.tree.edit import cull, locate, raised, with_all_above
 from octex.tree.layout import FACING_FLAGS, MAX_CELLS
 from octex.tree.morton import decode_cells
-from octex.tree.split import rows_of
+from octex.tree.split import rows_of, shared_codes
 
 
 def resize(

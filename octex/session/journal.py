@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from octex.conversion.large import digest_of
 from octex.errors import OutputError
-from octex.painting.resume import digest_of
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture

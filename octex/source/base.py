@@ -54,10 +54,11 @@ class Source(ABC):
         """Return the edge of a texel on triangles (n,), in rest units; 0 unknown, infinity without texels."""
         return np.zeros(len(triangles), np.float32)
 
-    def prepare(self) -> None:
-        """Build lazy tables now, so that other processes receive them with the source."""
+    def prepared(self, triangles: Int32s) -> Self:
+        """Return this source for points of triangles (n,), with the tables that processes then receive."""
         for source in self._inputs:
-            source.prepare()
+            source.prepared(triangles)
+        return self
 
     def with_rest(self, rest: Float64s) -> Source:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""

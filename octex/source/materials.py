@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 
@@ -151,9 +151,10 @@ class MaterialSource(Source):
         edges: Float32s = self._footprints[1][triangles]
         return edges
 
-    def prepare(self) -> None:
-        """Build the images and their mip levels."""
+    def prepared(self, triangles: Int32s) -> Self:  # noqa: ARG002
+        """Return this source with its images and their mip levels built."""
         _ = self._footprints
+        return self
 
     def with_rest(self, rest: Float64s) -> MaterialSource:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""

@@ -19,7 +19,7 @@ from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.blend import joined
 from octex.field.field import Field
 from octex.field.taps import TapList
-from octex.parallel import DEFAULT, Run, as_run
+from octex.parallel import DEFAULT, Run, as_run, built_once
 from octex.texture.channel import Channel, as_channels
 from octex.texture.file import ARCHIVE_ENDING, ENDING, Storage, are_texts, contents_of, info_of, take_parts
 from octex.texture.lookup import (
@@ -66,8 +66,6 @@ class OctreeTexture:
     together.
     """
 
-    __slots__ = ("_lookups", "bounds", "channels", "metadata", "placement", "storage", "tree")
-
     def __init__(
         self,
         tree: Octree,
@@ -85,7 +83,6 @@ class OctreeTexture:
     def _set_parts(self, tree: Octree, channels: Mapping[str, Channel], storage: Storage) -> None:
         self.tree, self.storage = tree, storage
         self.channels = MappingProxyType(dict(channels))
-        self._lookups = Lookups(tree, self.channels, self.placement)
 
     def with_cells(
         self, tree: Octree, channels: Mapping[str, Channel], metadata: Mapping[str, str] | None = None
@@ -118,9 +115,14 @@ class OctreeTexture:
     def __setstate__(self, storage: tuple[Any, ...]) -> None:
         self.storage = Storage(*storage)
 
+    @built_once
+    def _lookups(self) -> Lookups:
+        return Lookups(self.tree, self.channels, self.placement)
+
     @property
     def _field(self) -> Field:
-        return self._lookups.field
+        field: Field = self._lookups.field
+        return field
 
     @property
     def nbytes(self) -> int:

@@ -7,7 +7,6 @@ node's.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
 from octex.arrays import Float64s, Uint8s
 from octex.jit import inlined, kernel
@@ -46,9 +45,3 @@ def area_codes(areas: Float64s) -> Uint8s:
 def _write_codes(areas: Float64s, codes: Uint8s) -> None:
     for n in range(areas.size):
         codes[n] = area_code(areas[n])
-
-
-def shared_codes(codes: Uint8s, parts: npt.ArrayLike) -> Uint8s:
-    """Return the codes of areas (n,) divided evenly into ``parts``, each 1 at least."""
-    steps = np.rint(codes - AREA_STEPS * np.log2(np.maximum(parts, 1)))
-    return np.where(codes > 0, np.clip(steps, 1, 255), 0).astype(np.uint8)

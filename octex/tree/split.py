@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from octex.arrays import Bools, Int64s, Uint8s, bit_counts, in_runs
-from octex.tree.areas import shared_codes
-from octex.tree.layout import FACING_FLAGS, SplitTable
+from octex.tree.layout import AREA_STEPS, FACING_FLAGS, SplitTable
 
 
 class Rows(NamedTuple):
@@ -33,6 +33,12 @@ def counts_of(facings: Uint8s) -> Int64s:
     """Return the number of rows of cells with these facings."""
     counts: Int64s = bit_counts(facings & np.uint8(FACING_FLAGS)).astype(np.int64)
     return counts
+
+
+def shared_codes(codes: Uint8s, parts: npt.ArrayLike) -> Uint8s:
+    """Return the codes of areas (n,) divided evenly into ``parts``, each 1 at least."""
+    steps = np.rint(codes - AREA_STEPS * np.log2(np.maximum(parts, 1)))
+    return np.where(codes > 0, np.clip(steps, 1, 255), 0).astype(np.uint8)
 
 
 def rows_of(split: SplitTable, cells: Int64s | None = None) -> Rows:

@@ -13,10 +13,14 @@ from octex.source.welding import welded
 _MANY = 256
 
 
+@kernel
 def face_normals(positions: Float64s, triangles: Int32s) -> tuple[Float64s, Float64s]:
     """Return unit normals (m, 3), zeros for triangles without area, and areas (m,) of triangles (m, 3)."""
-    normals, areas, angles = np.empty((len(triangles), 3)), np.empty(len(triangles)), np.empty((0, 3))
-    _measure(positions, triangles, normals, areas, angles)
+    normals, areas = np.empty((len(triangles), 3)), np.empty(len(triangles))
+    for n in range(len(triangles)):
+        normal = cross_product(*edges_from(positions, triangles, n))
+        normals[n, 0], normals[n, 1], normals[n, 2] = unit(normal)
+        areas[n] = length_of(normal) / 2.0
     return normals, areas
 
 
@@ -53,9 +57,8 @@ def _smoothed(
 
     ``point_of`` (n,) numbers the distinct positions of vertices; −1 for vertices that do not count.
     """
-    faces, angles = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
-    _measure(positions, triangles, faces, np.empty(len(triangles)), angles)
-
+    faces, areas = face_normals(positions, triangles)
+    angles = _angles(positions, triangles, areas)
     # Sorted by position, since vertices at one position may differ.
     by_point, starts = _corners_by_point(point_of, triangles)
     normals = np.empty((int(rows.max(initial=-1)) + 1, 3, 3), np.float32)
@@ -127,21 +130,16 @@ def _corners_by_point(point_of: Int32s, triangles: Int32s) -> tuple[Int32s, Int6
 
 
 @kernel
-def _measure(
-    positions: Float64s, triangles: Int32s, normals: Float64s, areas: Float64s, angles: Float64s
-) -> None:
-    """Write normals, areas and, where ``angles`` has rows, the angles at the corners."""
+def _angles(positions: Float64s, triangles: Int32s, areas: Float64s) -> Float64s:
+    """Return the angles at the corners (m, 3) of triangles with ``areas`` (m,)."""
+    angles = np.empty((len(triangles), 3))
     for n in range(len(triangles)):
-        e, f = edges_from(positions, triangles, n)
-        normal = cross_product(e, f)
-        double = length_of(normal)
-        normals[n, 0], normals[n, 1], normals[n, 2] = unit(normal)
-        areas[n] = double / 2.0
-        for corner in range(min(3, 3 * len(angles))):
+        for corner in range(3):
             apex = row_of(positions, triangles[n, corner])
             forward = minus(row_of(positions, triangles[n, (corner + 1) % 3]), apex)
             backward = minus(row_of(positions, triangles[n, (corner + 2) % 3]), apex)
-            angles[n, corner] = np.arctan2(double, dot_product(forward, backward))
+            angles[n, corner] = np.arctan2(2.0 * areas[n], dot_product(forward, backward))
+    return angles
 
 
 @kernel

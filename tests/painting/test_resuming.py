@@ -13,9 +13,9 @@ import pytest
 
 import octex
 from octex import container
+from octex.conversion.large import digest_of
 from octex.errors import OutputError
 from octex.painting import image, paint, project
-from octex.painting.resume import digest_of
 from octex.photos import agreement, refine
 from tests.conftest import needs_jit
 from tests.make.photographs import projections, ring

@@ -153,7 +153,7 @@ def _shrunk(image: ImageTexels, height: int, width: int) -> Float32s:
     for first in range(0, height, band):
         end = None if remainder else (first + band) * rows
         part = image._replace(texels=image.texels[first * rows : end])
-        _reduce(_decoded(part), values[first : first + band])
+        shrink(_decoded(part), values[first : first + band])
     return values
 
 
@@ -169,7 +169,7 @@ def _decoded(image: ImageTexels) -> Float32s:
     if image.texels.dtype == np.float32:
         values[:] = image.texels
     else:
-        _decode(image.texels, decode_table("uint16", "srgb" if image.is_light else "data"), values)
+        decode_texels(image.texels, decode_table("uint16", "srgb" if image.is_light else "data"), values)
     if image.covered:
         if image.threshold >= 0.0:
             values[..., 3] = values[..., 3] >= image.threshold
@@ -178,7 +178,8 @@ def _decoded(image: ImageTexels) -> Float32s:
 
 
 @kernel
-def _decode(texels: Texels, table: Float32s, values: Float32s) -> None:
+def decode_texels(texels: Texels, table: Float32s, values: Float32s) -> None:
+    """Decode codes by a table, and alpha to a fraction."""
     for y in range(texels.shape[0]):
         for x in range(texels.shape[1]):
             for lane in range(3):
@@ -203,12 +204,13 @@ def _encoded(values: Float32s, image: ImageTexels, as_floats: bool) -> Array:
 def resized(values: Float32s, height: int, width: int) -> Float32s:
     """Return exact means (height, width, 4) over each texel's area, for a size that is no larger."""
     smaller = np.empty((height, width, 4), np.float32)
-    _reduce(values, smaller)
+    shrink(values, smaller)
     return smaller
 
 
 @kernel
-def _reduce(values: Float32s, smaller: Float32s) -> None:
+def shrink(values: Float32s, smaller: Float32s) -> None:
+    """Write exact means over the area of each texel of ``smaller``, which is no larger."""
     height, width = smaller.shape[0], smaller.shape[1]
     step_x, step_y = values.shape[1] / width, values.shape[0] / height
     scale = 1.0 / (step_x * step_y)
