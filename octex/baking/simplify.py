@@ -13,7 +13,7 @@ from octex.errors import MissingExtraError, ModelError, ModelWarning
 from octex.source.corners import has_area, unit_normals
 from octex.source.parts import parts_of
 from octex.source.surface import Surface, as_surface
-from octex.source.welding import welded
+from octex.source.welding import distinct_rows
 from octex.view.shading import corner_normals
 
 #: Aggressiveness of the collapses, and whether borders stay: mild first, so that hardly a triangle flips.
@@ -66,9 +66,7 @@ def check_simplifier() -> None:
 
 def _welded(surface: Surface) -> tuple[Float64s, Int32s]:
     """Return the distinct rest positions, and the triangles on them that have an area."""
-    numbers = welded(surface.rest)
-    vertices = np.empty((int(numbers.max()) + 1, 3))
-    vertices[numbers] = surface.rest
+    vertices, numbers = distinct_rows(surface.rest)
     faces = numbers[surface.triangles]
     faces = faces[has_area(vertices[faces])]
     if not len(faces):
