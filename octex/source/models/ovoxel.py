@@ -25,14 +25,9 @@ from octex.source.vectors import cross_product, dot_product, minus, row_of
 from octex.source.voxels import Voxels, voxel_arrays, voxels_of
 from octex.source.welding import paired_sides
 
+_X, _Y, _Z = np.eye(3, dtype=np.int64)
 #: The four voxels around the edge of a voxel along x, y and z, in order around it.
-_AROUND = np.array(
-    [
-        [[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]],
-        [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]],
-        [[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]],
-    ]
-)
+_AROUND = np.array([[0 * u, u, u + v, v] for u, v in ((_Z, _Y), (_X, _Z), (_Y, _X))])
 _AXES = 3
 #: Least share of a mesh's vertices in or next to a voxel.
 _LEAST_NEAR = 0.5
