@@ -21,7 +21,7 @@ from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_number, as_reals
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
-from octex.source.base import Placeable, Source, points_with_normals
+from octex.source.base import Placeable, Source, SpatialSource, points_with_normals
 from octex.source.images.decode import read_image
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint, kernel_code, reads_mips
 from octex.source.images.pyramid import MIRROR, REPEAT, WRAPS, Images, ImageTexels, as_wraps, store
@@ -128,13 +128,13 @@ class MappedImage(Placeable):
         return source, {f"source_{form.name}": json.dumps(record)}
 
 
-class MappedSource(Source):
+class MappedSource(SpatialSource):
     """One channel of a mapped image; normal maps refer to the mesh's frames."""
 
     def __init__(
         self, form: ChannelFormat, mapping: Mapping, image: ImageTexels, flat: bool, filter: str, mesh: Mesh
     ) -> None:
-        self._channels, self._rest, self._triangles = (form,), mesh.rest, mesh.triangles
+        super().__init__([form], mesh.rest, mesh.triangles)
         self._mapping = mapping
         self._image = image
         self._flat = flat
@@ -149,6 +149,13 @@ class MappedSource(Source):
         if self._frames is not None:
             shading = self._frames.normals.at(triangles, barycentric)
             shading /= np.maximum(np.linalg.norm(shading, axis=1, keepdims=True), 1e-30)
+        return self._read(points, normals, shading, widths)
+
+    def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
+        """Return values (n, components) at rest positions (n, 3), averaged over widths in rest units."""
+        return self._read(points, normals, normals, widths)
+
+    def _read(self, points: Float64s, normals: Float64s, shading: Float64s, widths: Float32s) -> Float32s:
         [form] = self.channels
         values = np.empty((len(points), form.components), np.float32)
         read_mapped(
