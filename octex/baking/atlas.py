@@ -16,7 +16,7 @@ from octex.errors import ModelError
 from octex.jit import kernel, part
 from octex.source.corners import Corners
 from octex.source.mesh import Mesh
-from octex.source.welding import first_equal, welded
+from octex.source.welding import distinct_rows, first_equal
 
 #: Triangles that xatlas gets at once: with ten times as many, each takes about four times as long.
 _PIECE = 4_000
@@ -39,14 +39,7 @@ _ALIGNMENTS = (8, 4, 2, 1)
 #: Most blocks of texels along a side of a map, where charts start at multiples below 8.
 _MOST_BLOCKS = 1024
 #: Rotations by quarter turns.
-_QUARTERS = np.array(
-    [
-        [[1.0, 0.0], [0.0, 1.0]],
-        [[0.0, 1.0], [-1.0, 0.0]],
-        [[-1.0, 0.0], [0.0, -1.0]],
-        [[0.0, -1.0], [1.0, 0.0]],
-    ]
-)
+_QUARTERS = np.array([[[c, s], [0.0 - s, c]] for c, s in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))])
 #: Seconds that xatlas may take.
 _PATIENCE = 60.0
 
@@ -84,11 +77,8 @@ def atlas_layout(
             scale, shifts, turns = packing
             map_corners = scale * (flat @ turns[charts]) + shifts[charts][:, None]
             faces = np.arange(len(charts), dtype=np.int32)
-            points = (map_corners / size).reshape(-1, 2).astype(np.float32)
-            rows = welded(points)
-            values = np.empty((int(rows.max()) + 1, 2), np.float32)
-            values[rows] = points
-            uv = Corners(values, rows.reshape(-1, 3))
+            values, rows = distinct_rows((map_corners / size).reshape(-1, 2).astype(np.float32))
+            uv = Corners(values, rows.reshape(-1, 3).astype(np.int32))
             return Layout(uv, map_corners, faces, charts, edges, size, size, margin)
     raise ModelError(
         f"{mesh.name}: {int(charts.max()) + 1:,} charts do not fit in a map of {size} × {size} texels; "

@@ -29,6 +29,7 @@ from octex.baking.unfold import (
 from octex.jit import kernel
 from octex.source.corners import area_vectors, unit
 from octex.source.mesh import Mesh
+from octex.source.vectors import dot_product, length_of, minus, plus, row_of, times
 from octex.source.welding import first_equal
 
 #: Charts merge if their common axis shows this part of their area, or one has less than this doubled area,
@@ -158,19 +159,15 @@ def _binned(directions: Float64s) -> tuple[Int64s, Float64s]:
     along = np.take_along_axis(directions, axes[:, None], axis=1)[:, 0]
     scale = _BINS / 2.0 / np.maximum(np.abs(along), 1e-300)
     faces = 2 * axes + (along < 0.0)
-    squares = [
-        np.clip(
-            (np.choose((axes + k) % 3, directions.T) * scale + _BINS / 2.0).astype(np.int64), 0, _BINS - 1
-        )
-        for k in (1, 2)
-    ]
+    places = (np.choose((axes + k) % 3, directions.T) * scale + _BINS / 2.0 for k in (1, 2))
+    row, column = (np.clip(each.astype(np.int64), 0, _BINS - 1) for each in places)
     middles = np.empty((6, _BINS, _BINS, 3))
     across = (np.arange(_BINS) + 0.5) * 2.0 / _BINS - 1.0
     for face in range(6):
         middles[face, ..., face // 2] = 1.0 - 2.0 * (face % 2)
         middles[face, ..., (face // 2 + 1) % 3] = across[:, None]
         middles[face, ..., (face // 2 + 2) % 3] = across
-    return (faces * _BINS + squares[0]) * _BINS + squares[1], unit(middles.reshape(-1, 3))
+    return (faces * _BINS + row) * _BINS + column, unit(middles.reshape(-1, 3))
 
 
 def _largest_angle(axes: Float64s, shares: Bools, one: Int64s, two: Int64s, directions: Float64s) -> Float64s:
@@ -186,24 +183,21 @@ def _largest_angle(axes: Float64s, shares: Bools, one: Int64s, two: Int64s, dire
 @kernel
 def _average(normals: Float64s, areas: Float64s, neighbours: Int32s, rounds: int, averaged: Float64s) -> None:
     """Average normals (m, 3) over neighbours ``rounds`` times, by area, and less across sharp edges."""
-    before, sums = normals.copy(), np.empty(3)
+    before = normals.copy()
     for _ in range(rounds):
         for triangle in range(areas.size):
-            for axis in range(3):
-                sums[axis] = areas[triangle] * before[triangle, axis]
+            normal = row_of(before, triangle)
+            total = times(normal, areas[triangle])
             for side in range(3):
                 neighbour = neighbours[triangle, side]
-                if neighbour < 0:
-                    continue
-                cosine = 0.0
-                for axis in range(3):
-                    cosine += before[triangle, axis] * before[neighbour, axis]
-                for axis in range(3):
-                    sums[axis] += areas[neighbour] * max(cosine, 0.0) ** _SHARP * before[neighbour, axis]
-            length = np.sqrt(sums[0] ** 2 + sums[1] ** 2 + sums[2] ** 2)
+                if neighbour >= 0:
+                    other = row_of(before, neighbour)
+                    share = areas[neighbour] * max(dot_product(normal, other), 0.0) ** _SHARP
+                    total = plus(total, other, share)
+            length = length_of(total)
             if length > 0.0:
                 for axis in range(3):
-                    averaged[triangle, axis] = sums[axis] / length
+                    averaged[triangle, axis] = total[axis] / length
         for triangle in range(areas.size):  # the whole at once compiles for 2 s more
             for axis in range(3):
                 before[triangle, axis] = averaged[triangle, axis]
@@ -229,13 +223,11 @@ def _grow_at_once(
             neighbour = neighbours[triangle, side]
             if neighbour < 0 or charts[neighbour] >= 0:
                 continue
-            along = away = 0.0
-            for axis in range(3):
-                along += facings[neighbour, axis] * axes[chart, axis]
-                away += (middles[neighbour, axis] - middles[triangle, axis]) ** 2
+            along = dot_product(row_of(facings, neighbour), row_of(axes, chart))
             if along < _WIDEST and areas[neighbour] > 0.0:
                 continue
-            farther = cost + np.sqrt(away) * (1.0 + _BEND * (1.0 - along))
+            away = length_of(minus(row_of(middles, neighbour), row_of(middles, triangle)))
+            farther = cost + away * (1.0 + _BEND * (1.0 - along))
             if farther < costs[neighbour]:
                 costs[neighbour] = farther
                 heappush(waiting, (farther, np.int64(neighbour), chart))

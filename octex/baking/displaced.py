@@ -170,13 +170,10 @@ def _cotangents(triangles: Int32s, positions: Float64s, cotangents: Float64s) ->
     for t in range(len(triangles)):
         for side in range(3):
             a, b, c = triangles[t, side], triangles[t, (side + 1) % 3], triangles[t, (side + 2) % 3]
-            dot = first_square = second_square = 0.0
-            for axis in range(3):
-                u, v = positions[a, axis] - positions[c, axis], positions[b, axis] - positions[c, axis]
-                dot += u * v
-                first_square += u * u
-                second_square += v * v
-            across = np.sqrt(max(first_square * second_square - dot * dot, 0.0))
+            tip = row_of(positions, c)
+            u, v = minus(row_of(positions, a), tip), minus(row_of(positions, b), tip)
+            dot = dot_product(u, v)
+            across = np.sqrt(max(dot_product(u, u) * dot_product(v, v) - dot * dot, 0.0))
             cotangents[t, side] = min(max(dot / across, _LEAST), _LARGEST) if across > 0.0 else 0.0
 
 

@@ -13,7 +13,7 @@ from octex.errors import MissingExtraError, ModelError, ModelWarning
 from octex.source.corners import has_area, unit_normals
 from octex.source.parts import parts_of
 from octex.source.surface import Surface, as_surface
-from octex.source.welding import welded
+from octex.source.welding import distinct_rows
 from octex.view.shading import corner_normals
 
 #: Aggressiveness of the collapses, and whether borders stay: mild first, so that hardly a triangle flips.
@@ -42,7 +42,11 @@ def simplify(surface: Surface, triangles: int) -> Surface:
     check_simplifier()
     as_surface(surface)
     count = as_whole(triangles, "triangles", 4, 2**31 - 1)
-    vertices, welded_faces = _welded(surface)
+    vertices, numbers = distinct_rows(surface.rest)
+    welded_faces = numbers[surface.triangles].astype(np.int32)
+    welded_faces = welded_faces[has_area(vertices[welded_faces])]
+    if not len(welded_faces):
+        raise ModelError(f"{surface.name}: no triangle has an area")
     middle, scale = vertices.mean(axis=0), float(np.ptp(vertices, axis=0).max())
     points, faces = _parts_collapsed((vertices - middle) / scale, welded_faces, count)
     if len(faces) > _ENOUGH * count:
@@ -62,18 +66,6 @@ def check_simplifier() -> None:
     if not find_spec("fast_simplification"):
         what = "to make a mesh of fewer triangles"
         raise MissingExtraError.needed(what, "fast-simplification", "simplify")
-
-
-def _welded(surface: Surface) -> tuple[Float64s, Int32s]:
-    """Return the distinct rest positions, and the triangles on them that have an area."""
-    numbers = welded(surface.rest)
-    vertices = np.empty((int(numbers.max()) + 1, 3))
-    vertices[numbers] = surface.rest
-    faces = numbers[surface.triangles]
-    faces = faces[has_area(vertices[faces])]
-    if not len(faces):
-        raise ModelError(f"{surface.name}: no triangle has an area")
-    return vertices, faces.astype(np.int32)
 
 
 def _parts_collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float64s, Int32s]:

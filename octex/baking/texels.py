@@ -9,6 +9,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.layout import Layout
 from octex.jit import inlined, kernel
+from octex.source.vectors import Vector, between, times
 
 #: Texels covered by less than this part count as gutter.
 _LEAST = 1e-4
@@ -65,11 +66,10 @@ def draw_texels(
     triangles, areas = np.full(shape, -1, np.int32), np.zeros(shape, np.float32)
     centroids, cut = np.zeros((*shape, 2), np.float32), np.zeros(shape, np.bool_)
     _mark_cut(corners, edges, first, cut)
-    _fill(corners, first, cut, triangles, areas, centroids)
-    no_pieces = _Pieces(np.empty(0, np.int64), np.empty(0, np.int32), np.empty((0, 3)))
-    count = _list_pieces(corners, first, cut, no_pieces)
-    pieces = _Pieces(np.empty(count, np.int64), np.empty(count, np.int32), np.zeros((count, 3)))
-    _list_pieces(corners, first, cut, pieces)
+    count = 0
+    for _ in range(2):  # once to count pieces
+        pieces = _Pieces(np.empty(count, np.int64), np.empty(count, np.int32), np.zeros((count, 3)))
+        count = _fill(corners, first, cut, triangles, areas, centroids, pieces)
     cells = cut.ravel(), triangles.ravel(), areas.ravel(), centroids.reshape(-1, 2)
     _assign(corners, charts, first, width, pieces, *cells)
     return TexelRows(triangles, centroids, areas)
@@ -137,21 +137,6 @@ def _ranges(
 
 
 @inlined
-def _centre_range(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
-    """Narrow a row's range to texels whose centres a triangle covers; edges belong to both sides."""
-    low, high = float(left), float(right)
-    for k in range(3):
-        across, offset = lines[k, 0], lines[k, 1] * (row + 0.5) + lines[k, 2]
-        if across > 0.0:
-            low = min(max(low, np.ceil(-offset / across - 0.5 - _ON_EDGE)), high)
-        elif across < 0.0:
-            high = max(min(high, np.floor(-offset / across - 0.5 + _ON_EDGE) + 1.0), low)
-        elif offset < -_NEAR:
-            high = low
-    return int(low), int(high)
-
-
-@inlined
 def _touched_range(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
     """Narrow a row's range to texels that a triangle may meet."""
     low, high = float(left), float(right)
@@ -176,6 +161,17 @@ def _meets(lines: Float64s, column: int, row: int) -> bool:
     return meets
 
 
+@inlined
+def _has_centre(lines: Float64s, column: int, row: int) -> bool:
+    """Return whether a triangle covers a texel's centre; edges belong to both sides."""
+    has_centre = True
+    for k in range(3):
+        across, down = lines[k, 0], lines[k, 1]
+        slack = _ON_EDGE * abs(across) if across != 0.0 else _NEAR
+        has_centre &= across * (column + 0.5) + down * (row + 0.5) + lines[k, 2] >= -slack
+    return has_centre
+
+
 @kernel
 def _mark_cut(corners: Float64s, edges: Bools, first: int, cut: Bools) -> None:
     """Mark the texels that edges of charts touch."""
@@ -195,23 +191,6 @@ def _mark_cut(corners: Float64s, edges: Bools, first: int, cut: Bools) -> None:
                 for column in range(int(x0), int(x1) + 1):
                     if abs(across * (column + 0.5 - ax) + down * (row + 0.5 - ay)) <= reach:
                         cut[row, column] = True
-
-
-@kernel
-def _fill(
-    corners: Float64s, first: int, cut: Bools, triangles: Int32s, areas: Float32s, centroids: Float32s
-) -> None:
-    """Write the texels that no edge cuts, by their centres: a chart covers each wholly or not at all."""
-    lines = np.empty((3, 3))
-    for triangle in range(corners.shape[0]):
-        top, bottom, left, right = _ranges(corners, triangle, first, triangles.shape, lines)
-        for row in range(top, bottom):
-            low, high = _centre_range(lines, row, left, right)
-            for column in range(low, high):
-                at = np.uint64(row - first), np.uint64(column)
-                if not cut[at] and triangles[at] < 0:
-                    triangles[at], areas[at] = triangle, 1.0
-                    centroids[at[0], at[1], 0] = centroids[at[0], at[1], 1] = 0.5
 
 
 @inlined
@@ -240,8 +219,14 @@ def _covered(
 
 
 @kernel
-def _list_pieces(corners: Float64s, first: int, cut: Bools, pieces: _Pieces) -> int:
-    """Write the pieces of triangles in ``cut`` texels, as far as there is room; return how many there are."""
+def _fill(
+    corners: Float64s, first: int, cut: Bools, triangles: Int32s, areas: Float32s, centroids: Float32s,
+    pieces: _Pieces,
+) -> int:  # fmt: skip
+    """Write the texels that no edge cuts, by their centres: a chart covers each wholly or not at all.
+
+    List the pieces of triangles in the others, as far as there is room; return how many there are.
+    """
     polygon, clipped, lines = np.empty((8, 2)), np.empty((8, 2)), np.empty((3, 3))
     count, room = 0, pieces.texels.size
     for triangle in range(corners.shape[0]):
@@ -249,7 +234,11 @@ def _list_pieces(corners: Float64s, first: int, cut: Bools, pieces: _Pieces) -> 
         for row in range(top, bottom):
             low, high = _touched_range(lines, row, left, right)
             for column in range(low, high):
-                if not cut[row - first, column]:
+                at = np.uint64(row - first), np.uint64(column)
+                if not cut[at]:
+                    if triangles[at] < 0 and _has_centre(lines, column, row):
+                        triangles[at], areas[at] = triangle, 1.0
+                        centroids[at[0], at[1], 0] = centroids[at[0], at[1], 1] = 0.5
                     continue
                 if count < room:
                     pieces.texels[count] = (row - first) * cut.shape[1] + column
@@ -263,7 +252,7 @@ def _list_pieces(corners: Float64s, first: int, cut: Bools, pieces: _Pieces) -> 
 
 
 @inlined
-def _barycentric(corners: Float64s, triangle: int, x: float, y: float) -> tuple[float, float, float]:
+def _barycentric(corners: Float64s, triangle: int, x: float, y: float) -> Vector:
     """Return the barycentric coordinates of a map position on a triangle; thirds without area."""
     ax, ay = corners[triangle, 0, 0], corners[triangle, 0, 1]
     bx, by = corners[triangle, 1, 0] - ax, corners[triangle, 1, 1] - ay
@@ -276,15 +265,20 @@ def _barycentric(corners: Float64s, triangle: int, x: float, y: float) -> tuple[
     return 1.0 - q - r, q, r
 
 
+@inlined
+def _clamped(corners: Float64s, triangle: int, x: float, y: float) -> Vector:
+    """Return barycentric coordinates, clamped to the triangle."""
+    p, q, r = _barycentric(corners, triangle, x, y)
+    p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
+    return times((p, q, r), 1.0 / (p + q + r))
+
+
 @kernel
 def barycentric_at(corners: Float64s, triangles: Int32s, points: Float64s) -> Float64s:
     """Return barycentric coordinates (n, 3) of map positions (n, 2), clamped to triangles (n,)."""
     weights = np.empty((triangles.size, 3))
     for n in range(triangles.size):
-        p, q, r = _barycentric(corners, int(triangles[n]), points[n, 0], points[n, 1])
-        p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
-        total = p + q + r
-        weights[n, 0], weights[n, 1], weights[n, 2] = p / total, q / total, r / total
+        weights[n] = _clamped(corners, int(triangles[n]), points[n, 0], points[n, 1])
     return weights
 
 
@@ -380,33 +374,12 @@ def _find_points(
     points: TexelPoints,
 ) -> None:  # fmt: skip
     """Write the points of texels; ``runs`` (n,) are the drawn triangles of the runs."""
-    width, inverse_width = centroids.shape[1], (1.0 + 1e-12) / centroids.shape[1]
+    width = centroids.shape[1]
     for run in range(runs.size):
-        triangle, face = runs[run], points.triangles[run]
-        a, b, c = triangles[face, 0], triangles[face, 1], triangles[face, 2]
-        left, top = corners[triangle, 0, 0], corners[triangle, 0, 1]
-        bx, by = corners[triangle, 1, 0] - left, corners[triangle, 1, 1] - top
-        cx, cy = corners[triangle, 2, 0] - left, corners[triangle, 2, 1] - top
-        doubled = bx * cy - by * cx
-        inverse = 1.0 / doubled if doubled != 0.0 else 0.0
-        bx, by, cx, cy = bx * inverse, by * inverse, cx * inverse, cy * inverse
-        ax, ay, az = rest[a, 0], rest[a, 1], rest[a, 2]
-        sx, sy, sz = rest[b, 0] - ax, rest[b, 1] - ay, rest[b, 2] - az
-        tx, ty, tz = rest[c, 0] - ax, rest[c, 1] - ay, rest[c, 2] - az
+        face = points.triangles[run]
         for n in range(points.starts[run], points.starts[run + 1]):
-            texel = points.texels[n]
-            row = np.int32(np.float64(texel) * inverse_width)
-            row -= np.int32(row * width > texel)
-            column = texel - row * width
-            x = column + np.float64(centroids[np.uint64(row), np.uint64(column), 0]) - left
-            y = first + row + np.float64(centroids[np.uint64(row), np.uint64(column), 1]) - top
-            q, r = x * cy - y * cx, bx * y - by * x
-            p = 1.0 - q - r
-            if min(p, min(q, r)) < 0.0:
-                p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
-                total = p + q + r
-                p, q, r = p / total, q / total, r / total
-            points.barycentric[n, 0], points.barycentric[n, 1], points.barycentric[n, 2] = p, q, r
-            points.rest[n, 0] = ax + q * sx + r * tx
-            points.rest[n, 1] = ay + q * sy + r * ty
-            points.rest[n, 2] = az + q * sz + r * tz
+            row, column = points.texels[n] // width, points.texels[n] % width
+            x, y = column + centroids[row, column, 0], first + row + centroids[row, column, 1]
+            shares = _clamped(corners, int(runs[run]), x, y)
+            points.barycentric[n, 0], points.barycentric[n, 1], points.barycentric[n, 2] = shares
+            points.rest[n, 0], points.rest[n, 1], points.rest[n, 2] = between(rest, triangles, face, shares)

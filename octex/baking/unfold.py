@@ -11,6 +11,7 @@ from octex.arrays import Bools, Float64s, Int32s, Int64s
 from octex.baking.layout import doubled_areas, pieces_of, steps_between, sums_of
 from octex.jit import kernel, part
 from octex.source.corners import area_vectors, unit, unit_normals
+from octex.source.vectors import dot_product, length_of, plus, row_of
 
 #: Length of the model's longest side in the map in which charts are flattened.
 SIDE = 1024.0
@@ -324,21 +325,18 @@ def grow(
             continue
         queue[0] = order[n]
         charts[order[n]] = count
-        x = y = z = 0.0
+        total = (0.0, 0.0, 0.0)
         first, end = 0, 1
         while first < end:
             triangle = queue[first]
             first += 1
-            x += areas[triangle] * facings[triangle, 0]
-            y += areas[triangle] * facings[triangle, 1]
-            z += areas[triangle] * facings[triangle, 2]
-            length = least * np.sqrt(x * x + y * y + z * z)
+            total = plus(total, row_of(facings, triangle), areas[triangle])
+            length = least * length_of(total)
             for side in range(3):
                 neighbour = neighbours[triangle, side]
                 if neighbour < 0 or charts[neighbour] >= 0:
                     continue
-                along = x * facings[neighbour, 0] + y * facings[neighbour, 1] + z * facings[neighbour, 2]
-                if along >= length or areas[neighbour] == 0.0:
+                if dot_product(total, row_of(facings, neighbour)) >= length or areas[neighbour] == 0.0:
                     charts[neighbour] = count
                     queue[end] = neighbour
                     end += 1

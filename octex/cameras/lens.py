@@ -18,10 +18,8 @@ import numpy as np
 from octex.arrays import Float64s
 from octex.jit import inlined, kernel
 
-#: Meaning of the coefficients. ``opencv``: OpenCV's k1, k2, p1, p2 (radial and tangential), optionally with
-#: k3, k4, k5, k6 (rational); or k1, k2 alone. ``fisheye``: k1, k2, k3, k4 of OpenCV's fisheye model, in
-#: angles instead of slopes; or k1, k2, p1, p2, k3, k4, sx1, sy1 of COLMAP's THIN_PRISM_FISHEYE. ``fov``: ω of
-#: Devernay & Faugeras, "Straight Lines Have to Be Straight" (2001).
+#: Meaning of the coefficients: see `octex.Camera`. Those of ``fisheye`` are of angles instead of slopes; ω of
+#: ``fov`` is that of Devernay & Faugeras, "Straight Lines Have to Be Straight" (2001).
 DistortionModel = Literal["opencv", "fisheye", "fov"]
 DISTORTION_MODELS: tuple[DistortionModel, ...] = get_args(DistortionModel)
 #: Allowed numbers of coefficients.

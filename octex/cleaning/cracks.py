@@ -111,13 +111,7 @@ def _nearest(
 
 @part
 def _own_border(
-    points: Float64s,
-    starts: Int64s,
-    others: Int64s,
-    n: int,
-    reach: float,
-    border: Int64s,
-    lengths: Float64s,
+    points: Float64s, starts: Int64s, others: Int64s, n: int, reach: float, border: Int64s, lengths: Float64s
 ) -> int:
     """List vertices along the border from vertex ``n``, with their distance along it; return their number."""
     border[0], lengths[0] = n, 0.0

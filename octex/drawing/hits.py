@@ -13,6 +13,7 @@ from octex.cameras.differentials import differential
 from octex.jit import kernel
 from octex.parallel import built_once
 from octex.source.corners import Frames
+from octex.source.vectors import row_of
 from octex.view.shading import corner_normals, face_normals
 from octex.view.zbuffer import Buffers, z_buffer
 
@@ -123,11 +124,7 @@ def _hit(
                 + v * corner_normals[triangle, 1, axis]
                 + w * corner_normals[triangle, 2, axis]
             )
-        x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        i, j, k = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
-        ax, ay, az, bx, by, bz = differential(eye, perspective, x, y, z, i, j, k)
-        right[n, 0], right[n, 1], right[n, 2] = ax, ay, az
-        down[n, 0], down[n, 1], down[n, 2] = bx, by, bz
+        right[n], down[n] = differential(eye, perspective, row_of(points, n), row_of(faces, triangle))
         if not is_posed:
             continue
         # Express steps along the posed triangle by its edges; the same combination of rest edges is the rest

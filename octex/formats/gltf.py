@@ -15,7 +15,7 @@ import numpy as np
 from octex.arrays import Array, Integers
 from octex.errors import ModelError
 from octex.files import OCTREE_EXTENSION, replacing
-from octex.formats.images import FileFormat, ImageFormat, encoded_images, image_names
+from octex.formats.images import ImageFormat, encoded_images, image_names
 from octex.formats.models import Target, Written, materials_of, origin_of
 from octex.formats.web import texture_file
 from octex.gltf import COMPONENT_TYPES
@@ -40,8 +40,7 @@ def write(surface: Surface, target: Target) -> Written:
     A model far from the origin is moved by a translation of its node. Without ``frames``, viewers shade flat.
     """
     path = target.path
-    content = _Content(target.images, target.octree)
-    content.add(surface, materials_of(surface))
+    content = _Content(surface, target.images, target.octree)
     octree = None if target.octree is None else texture_file(target.octree, Path(surface.name).stem)
     image_bytes = sum(len(data) for data, _ in content.images)
     if path.suffix.lower() == ".glb":
@@ -76,7 +75,8 @@ def write(surface: Surface, target: Target) -> Written:
 class _Content:
     """The JSON of a file, and the bytes that it refers to."""
 
-    def __init__(self, images: ImageFormat, octree: OctreeTexture | None) -> None:
+    def __init__(self, surface: Surface, images: ImageFormat, octree: OctreeTexture | None) -> None:
+        source = materials_of(surface)
         self._format, self._octree = images, octree
         self.json: dict[str, Any] = {
             "asset": {"version": "2.0", "generator": "octex"},
@@ -85,11 +85,7 @@ class _Content:
         }
         self.arrays: list[bytes] = []  # of buffer views
         self._views: list[dict[str, Any]] = []
-        self.images: list[tuple[bytes, FileFormat]] = []  # files
         self._extensions: set[str] = set()
-
-    def add(self, surface: Surface, source: MaterialSource) -> None:
-        """Add a surface as the one mesh."""
         self._frames = surface.posed_frames()
         self._origin = origin_of(surface.vertices)
         primitives = []

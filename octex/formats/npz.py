@@ -52,11 +52,8 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
         "origin": np.array(texture.placement.origin, np.float64),
         "size": np.array(texture.placement.size, np.float64),
     }
-    taken = {
-        *arrays,
-        "file",
-        "allow_pickle",
-    } & texture.channels.keys()  # the last two are numpy's parameters
+    # The last two are numpy's parameters.
+    taken = {*arrays, "file", "allow_pickle"} & texture.channels.keys()
     if taken:
         raise ArgumentError(
             f"{path}: a .npz file uses the name {min(taken)!r} itself; leave that channel out "

@@ -10,10 +10,9 @@ import os
 import re
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib.resources import files
 from string import Template
-from typing import NamedTuple
 
 import numpy as np
 
@@ -48,13 +47,6 @@ _WORDS = _RESERVED.split()
 _ROWS = 64
 
 
-class Plane(NamedTuple):
-    """Channels whose components, at most three, share texels."""
-
-    channels: list[str]
-    components: int
-
-
 def write_osl(
     texture: OctreeTexture, path: str | os.PathLike[str], *, channels: Sequence[str] | None = None
 ) -> None:
@@ -85,7 +77,7 @@ def write_osl(
         raise ArgumentError(f"{path}: an OSL shader is saved as NAME{ENDING}")
     names = _chosen(texture, path, channels)
     texture = _of_one_depth(texture, path)
-    planes = list(_planes([texture.channels[name].format for name in names]))
+    planes = _planes([texture.channels[name].format for name in names])
     image = path.with_name(f"{path.name}.tif")
     tree = texture.tree
     n_rows = tree.split.cells.size + tree.split.areas.size
@@ -151,14 +143,11 @@ def _of_one_depth(texture: OctreeTexture, path: os.PathLike[str]) -> OctreeTextu
     return resize(texture, depth) if sum(counts[:depth]) else texture
 
 
-def _planes(formats: Sequence[ChannelFormat]) -> Iterator[Plane]:
-    """Distribute channels to planes; those of one component share planes."""
+def _planes(formats: Sequence[ChannelFormat]) -> list[list[str]]:
+    """Distribute channels to planes, whose components, at most three, share texels; single ones come last."""
     single = [each.name for each in formats if each.components == 1]
-    for each in formats:
-        if each.components > 1:
-            yield Plane([each.name], each.components)
-    for begin in range(0, len(single), 3):
-        yield Plane(single[begin : begin + 3], len(single[begin : begin + 3]))
+    planes = [[each.name] for each in formats if each.components > 1]
+    return planes + [single[begin : begin + 3] for begin in range(0, len(single), 3)]
 
 
 def _nodes(texture: OctreeTexture) -> Uint16s:
@@ -171,7 +160,7 @@ def _nodes(texture: OctreeTexture) -> Uint16s:
 
 
 def _fill(
-    texels: Uint16s, texture: OctreeTexture, plane: Plane, ranges: dict[str, tuple[float, float]]
+    texels: Uint16s, texture: OctreeTexture, plane: Sequence[str], ranges: dict[str, tuple[float, float]]
 ) -> None:
     """Write the texels of a plane: first cells, then split cells with their facings."""
     tree = texture.tree
@@ -181,7 +170,7 @@ def _fill(
     is_facing = np.ones(len(texels) - n_cells, np.bool_)
     is_facing[firsts - n_cells] = False
     lane = 0
-    for name in plane.channels:
+    for name in plane:
         channel = texture.channels[name]
         values, ranges[name] = _codes(channel)
         lanes = slice(lane, lane + channel.format.components)
@@ -213,7 +202,7 @@ def _codes(channel: Channel) -> tuple[Uint16s, tuple[float, float]]:
 
 
 def _outputs(
-    texture: OctreeTexture, planes: Sequence[Plane], ranges: dict[str, tuple[float, float]]
+    texture: OctreeTexture, planes: Sequence[Sequence[str]], ranges: dict[str, tuple[float, float]]
 ) -> tuple[list[str], list[str]]:
     """Return the shader's outputs, which are the channels, and the statements that compute them."""
     outputs, lines = [], []
@@ -221,7 +210,7 @@ def _outputs(
         lines.append(f"  color o_values{number};")
         arguments = f"{number}, o_cells, o_weights, o_count, o_facing, o_values{number}, o_alpha"
         lines.append(f"  blend(File, o_turned, {arguments});")
-        for lane, channel in enumerate(plane.channels):
+        for lane, channel in enumerate(plane):
             form, (low, high) = texture.channels[channel].format, ranges[channel]
             scale = f"{low!r} + {high - low!r} * "
             output = output_name(channel)

@@ -15,7 +15,7 @@ from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
 from octex.formats.models import Target, Unit, Written, codes_of, needed_colors, origin_of
 from octex.source.surface import Surface
-from octex.source.welding import welded
+from octex.source.welding import distinct_rows
 
 #: lib3mf's names of units.
 _UNITS: dict[Unit, str] = {
@@ -33,13 +33,11 @@ def write(surface: Surface, target: Target) -> Written:
     colors = needed_colors(surface, ".3mf")
     origin = origin_of(surface.vertices)
     points = (surface.vertices - origin).astype(np.float32)
-    vertex_of = welded(points)
+    positions, vertex_of = distinct_rows(points)
     triangles = vertex_of[surface.triangles]
     is_solid = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     if not is_solid.any():
         raise ModelError(f"{surface.name} has no triangles with an area; there is nothing to print")
-    positions = np.empty((int(vertex_of.max()) + 1, 3), np.float32)
-    positions[vertex_of] = points
     codes, numbers = np.unique(codes_of(colors).view(np.uint32), return_inverse=True)
     wrapper = lib3mf.get_wrapper()
     model = wrapper.CreateModel()

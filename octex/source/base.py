@@ -62,20 +62,18 @@ class Source(ABC):
 
     def with_rest(self, rest: Float64s) -> Source:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
-        return self._of_inputs([source.with_rest(rest) for source in self._inputs]) if self._inputs else self
+        return self._of_inputs([source.with_rest(rest) for source in self._inputs])
 
     def with_filter(self, name: str) -> Source:
         """Return the same source with its images read by another filter."""
-        return (
-            self._of_inputs([source.with_filter(name) for source in self._inputs]) if self._inputs else self
-        )
+        return self._of_inputs([source.with_filter(name) for source in self._inputs])
 
     def only(self, names: Sequence[str]) -> Source:
         """Return the source with these channels, and ``alpha`` if it has gaps; no names: only ``alpha``."""
         return Combined(dict.fromkeys(names, self), [self])
 
     def _of_inputs(self, inputs: Sequence[Source]) -> Self:
-        return self._changed(_inputs=tuple(inputs))
+        return self._changed(_inputs=tuple(inputs)) if inputs else self
 
     def _changed(self, *stale: str, **attributes: Any) -> Self:
         """Return a copy with other attributes, without the cached properties named in ``stale``."""

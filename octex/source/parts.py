@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float64s, Int32s, Int64s, in_runs
+from octex.arrays import Float64s, Int32s, Int64s
 from octex.checks import as_number, as_positive
 from octex.errors import ArgumentError
 from octex.files import count_text
@@ -34,8 +34,6 @@ SEPARATION = "separation"
 _SINGLY = 300
 #: Solids that share less than this fraction of the smaller one's volume only touch.
 _SHARED = 1e-9
-#: Pairs of boxes that are tested at once.
-_BLOCK = 1 << 22
 
 
 class Overlap(NamedTuple):
@@ -98,22 +96,21 @@ def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) ->
     boxes: dict[int, MeshBoxes] = {}
     pairs = []
     low, high = boxes_of(rest, triangles, parts)
-    for first, second in _near_boxes(low, high, margin):
-        for a, b in zip(first.tolist(), second.tolist(), strict=True):
-            for part in (a, b):
-                if part not in boxes:
-                    boxes[part] = mesh_of(rest[triangles[members[part]]])
-            distance = gap(boxes[a], boxes[b], margin)
-            is_inside = (low[a] >= low[b]).all() and (high[a] <= high[b]).all()
-            is_outside = (low[a] <= low[b]).all() and (high[a] >= high[b]).all()
-            # Apart and not one in the other: the intersection is empty without a boolean.
-            is_clear = distance > 0.0 and not is_inside and not is_outside
-            solid_a, solid_b, volume = solids[a], solids[b], None
-            if not (isinstance(solid_a, str) or isinstance(solid_b, str)):
-                shared = 0.0 if is_clear else (solid_a ^ solid_b).volume()
-                volume = shared if shared > _SHARED * min(solid_a.volume(), solid_b.volume()) else 0.0
-            if volume or distance < margin or (distance == 0.0 and volume is None):
-                pairs.append(Overlap(min(a, b), max(a, b), volume, distance))
+    for a, b in _near_boxes(low, high, margin):
+        for part in (a, b):
+            if part not in boxes:
+                boxes[part] = mesh_of(rest[triangles[members[part]]])
+        distance = gap(boxes[a], boxes[b], margin)
+        is_inside = (low[a] >= low[b]).all() and (high[a] <= high[b]).all()
+        is_outside = (low[a] <= low[b]).all() and (high[a] >= high[b]).all()
+        # Apart and not one in the other: the intersection is empty without a boolean.
+        is_clear = distance > 0.0 and not is_inside and not is_outside
+        solid_a, solid_b, volume = solids[a], solids[b], None
+        if not (isinstance(solid_a, str) or isinstance(solid_b, str)):
+            shared = 0.0 if is_clear else (solid_a ^ solid_b).volume()
+            volume = shared if shared > _SHARED * min(solid_a.volume(), solid_b.volume()) else 0.0
+        if volume or distance < margin or (distance == 0.0 and volume is None):
+            pairs.append(Overlap(min(a, b), max(a, b), volume, distance))
     unchecked = [
         Unchecked(part, len(members[part]), solid)
         for part, solid in enumerate(solids)
@@ -201,27 +198,19 @@ def _solid(rest: Float64s, triangles: Int32s, welded: Int64s) -> Manifold | Reas
     return solid if solid.volume() > 0.0 else "without volume"
 
 
-def _near_boxes(low: Float64s, high: Float64s, margin: float) -> Iterator[tuple[Int64s, Int64s]]:
+def _near_boxes(low: Float64s, high: Float64s, margin: float) -> Iterator[tuple[int, int]]:
     """Yield pairs of boxes, ``low`` and ``high`` (n, 3), with gaps of at most ``margin``."""
-    if len(low) < 2:
-        return
     sweeps = []
-    for axis in range(3):  # sort along the axis with the fewest overlaps
+    for axis in range(3):
         order = np.argsort(low[:, axis], kind="stable")
         ends = np.searchsorted(low[order, axis], high[order, axis] + margin, side="right")
-        sweeps.append((order, ends - np.arange(1, len(low) + 1)))
-    order, counts = min(sweeps, key=lambda sweep: int(sweep[1].sum()))
-    totals = np.cumsum(counts)
-    first = 0
-    while first < len(low):
-        done = totals[first - 1] if first else 0
-        last = max(int(np.searchsorted(totals, done + _BLOCK, side="right")), first + 1)
-        repeats = counts[first:last]
-        a = np.repeat(np.arange(first, last), repeats)
-        a, b = order[a], order[in_runs(np.arange(first, last) + 1, repeats)]
-        meets = ((low[a] <= high[b] + margin) & (low[b] <= high[a] + margin)).all(axis=1)
-        yield a[meets], b[meets]
-        first = last
+        sweeps.append((order, ends))
+    order, ends = min(sweeps, key=lambda sweep: int(sweep[1].sum()))  # the axis with the fewest overlaps
+    for number, (a, end) in enumerate(zip(order.tolist(), ends.tolist(), strict=True), 1):
+        others = order[number:end]
+        meets = ((low[a] <= high[others] + margin) & (low[others] <= high[a] + margin)).all(axis=1)
+        for b in others[meets].tolist():
+            yield a, b
 
 
 def separation_of(mesh: Mesh, margin: float, overlaps: Overlaps | None) -> str | None:

@@ -178,11 +178,7 @@ def _sum_tangents(
         # The directions of u and v: the inverse of the map from the edges to the image, up to its scale.
         s = (sign * (fv * e[0] - ev * f[0]), sign * (fv * e[1] - ev * f[1]), sign * (fv * e[2] - ev * f[2]))
         t = (eu * f[0] - fu * e[0], eu * f[1] - fu * e[1], eu * f[2] - fu * e[2])
-        distinct = (
-            dot_product(e, e) > 0.0
-            and dot_product(f, f) > 0.0
-            and (e[0] != f[0] or e[1] != f[1] or e[2] != f[2])
-        )
+        distinct = dot_product(e, e) > 0.0 and dot_product(f, f) > 0.0 and e != f
         usable = 0.0 < abs(area) < math.inf and dot_product(s, s) > 0.0 and dot_product(t, t) > 0.0
         if not (distinct and usable):
             rows[triangle] = -1

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 import octex
 from octex.errors import ArgumentError
 from octex.nearest.triangles import gap, mesh_of
-from octex.source import parts
 from octex.source.parts import Overlap, Unchecked, parts_of
 from octex.source.surface import Surface
 from octex.source.welding import first_equal
@@ -171,8 +170,7 @@ def test_gaps_are_manifolds(seed):
 
 
 @needs_jit
-def test_a_city_of_parts_is_compared_block_by_block(monkeypatch):
-    monkeypatch.setattr(parts, "_BLOCK", 5000)
+def test_a_city_of_parts_is_compared_box_by_box():
     where = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0), [0.0]), -1).reshape(-1, 3)
     surface = colored(*[cube(1.25 * place) for place in where])
     found = surface.overlapping_parts(0.3)

@@ -19,7 +19,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -42,8 +42,6 @@ from octex.source.images.openimage import (
     spread,
 )
 from octex.source.images.pyramid import Texels
-
-Code = TypeVar("Code", bound=np.generic)
 
 #: EXIF's tag of the orientation (CIPA DC-008, 4.6.5), and its first and last values.
 _TAG, _UPRIGHT, _MOST = 0x0112, 1, 8
@@ -234,7 +232,7 @@ def orientation_of(data: bytes) -> int:
     return tag if isinstance(tag, int) and _UPRIGHT <= tag <= _MOST else _UPRIGHT
 
 
-def turned(texels: npt.NDArray[Code], orientation: int) -> npt.NDArray[Code]:
+def turned(texels: Texels, orientation: int) -> Texels:
     """Return texels (height, width, …), stored in an orientation, upright."""
     bits = orientation - _UPRIGHT
     if bits & 4:  # rows are columns

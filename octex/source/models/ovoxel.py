@@ -21,17 +21,13 @@ from octex.source.corners import Corners, area_vectors
 from octex.source.mesh import as_positions, as_triangles
 from octex.source.models.reading import Options
 from octex.source.surface import Surface
+from octex.source.vectors import cross_product, dot_product, minus, row_of
 from octex.source.voxels import Voxels, voxel_arrays, voxels_of
 from octex.source.welding import paired_sides
 
+_X, _Y, _Z = np.eye(3, dtype=np.int64)
 #: The four voxels around the edge of a voxel along x, y and z, in order around it.
-_AROUND = np.array(
-    [
-        [[0, 0, 0], [0, 0, 1], [0, 1, 1], [0, 1, 0]],
-        [[0, 0, 0], [1, 0, 0], [1, 0, 1], [0, 0, 1]],
-        [[0, 0, 0], [0, 1, 0], [1, 1, 0], [1, 0, 0]],
-    ]
-)
+_AROUND = np.array([[0 * u, u, u + v, v] for u, v in ((_Z, _Y), (_X, _Z), (_Y, _X))])
 _AXES = 3
 #: Least share of a mesh's vertices in or next to a voxel.
 _LEAST_NEAR = 0.5
@@ -170,20 +166,17 @@ def _turn(others: Int64s, vertices: Float64s, quads: Int64s) -> None:
         part[seed] = seed
         members[0] = seed
         count, done = 1, 0
-        origin = vertices[quads[seed, 0]]
+        origin = row_of(vertices, quads[seed, 0])
         volume = 0.0
         while done < count:
             quad = members[done]
             done += 1
-            inside = 0.0
+            a = minus(row_of(vertices, quads[quad, 0]), origin)
             for i in range(1, 3):
-                a = vertices[quads[quad, 0]] - origin
-                b = vertices[quads[quad, i]] - origin
-                c = vertices[quads[quad, i + 1]] - origin
-                inside += a[0] * (b[1] * c[2] - b[2] * c[1])
-                inside += a[1] * (b[2] * c[0] - b[0] * c[2])
-                inside += a[2] * (b[0] * c[1] - b[1] * c[0])
-            volume += -inside if is_turned[quad] else inside
+                b = minus(row_of(vertices, quads[quad, i]), origin)
+                c = minus(row_of(vertices, quads[quad, i + 1]), origin)
+                inside = dot_product(a, cross_product(b, c))
+                volume += -inside if is_turned[quad] else inside
             for side in range(4 * quad, 4 * quad + 4):
                 other = others[side] // 4
                 if others[side] >= 0 and part[other] < 0:
