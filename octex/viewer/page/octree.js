@@ -242,7 +242,10 @@ export class Octree {
             if (isNode) next[at++] = position;
             if (isCube) cells[end++] = position;
           }
-          if (isCube) [cells[end++], cells[end++]] = [depth, number];
+          if (isCube) {
+            cells[end++] = depth;
+            cells[end++] = number;
+          }
           number++;
         }
       }
