@@ -22,7 +22,7 @@ from octex.drawing.compare import (
     readers_of,
 )
 from octex.drawing.directions import DEFAULT_VIEW, Viewpoint, leaf_camera, surface_camera
-from octex.drawing.hits import rest_normals, visible_hits
+from octex.drawing.hits import visible_hits
 from octex.drawing.panels import caption_height, captioned, named, source_caption, texture_facts
 from octex.drawing.rasters import DrawnLeaves, Film, film_leaves, film_surface, visible_level
 from octex.drawing.shaders import Appearance, Shader, source_shader, texture_shader
@@ -111,7 +111,7 @@ def _drawn_on_model(
         *films, film = film_surface(model, camera, shaders, supersample)
         where = np.array((result.angle or result).where)
         nearest, ring = np.inf, None
-        for pixels, hits in visible_hits(model, camera, rest_normals(model)):
+        for pixels, hits in visible_hits(model, camera):
             distances = np.linalg.norm(hits.rest - where, axis=1)
             n = int(distances.argmin())
             if distances[n] < min(nearest, 3 * hits.width[n]):

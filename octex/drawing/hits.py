@@ -83,8 +83,10 @@ class CameraView:
         return Hits(triangles, weights, rest, width.astype(np.float32), right, down, normals), points
 
 
-def visible_hits(surface: Surface, camera: Camera, normals: Float32s) -> Iterator[tuple[Int64s, Hits]]:
-    """Yield batches of pixel numbers and their hits."""
+def visible_hits(
+    surface: Surface, camera: Camera, normals: Float32s | None = None
+) -> Iterator[tuple[Int64s, Hits]]:
+    """Yield batches of pixel numbers and their hits; ``normals`` as for `CameraView`."""
     buffers = z_buffer(surface.vertices, surface.triangles, camera)
     view = CameraView(surface, camera, normals)
     for pixels in view.blocks(buffers):

@@ -15,7 +15,7 @@ from octex.channels import encode
 from octex.checks import as_depth, as_flag, as_path, as_text
 from octex.drawing.directions import as_viewpoint, camera_of
 from octex.drawing.environment import Environment, as_light
-from octex.drawing.hits import Hits, rest_normals, visible_hits
+from octex.drawing.hits import Hits, visible_hits
 from octex.drawing.panels import write_png
 from octex.drawing.rasters import (
     as_image_size,
@@ -137,7 +137,7 @@ def draw_paintable(
         codes[..., 3:] = encode(coverage, "uint8", "data")
     else:
         flat = codes.reshape(-1, 4)
-        for seen, hits in visible_hits(surface, camera, rest_normals(surface)):
+        for seen, hits in visible_hits(surface, camera):
             appearance = look(hits)
             flat[seen, :3] = encode(appearance.unlit(), "uint8", "srgb")
             cover = appearance.coverage

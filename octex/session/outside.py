@@ -14,21 +14,6 @@ from octex.errors import OctexError, OutputError, TextureFileError
 from octex.texture import OctreeTexture, open_texture
 
 
-class Watch:
-    """Tells whether another program wrote to files since the session last read or wrote them."""
-
-    def __init__(self, paths: Sequence[Path]) -> None:
-        self._stamps = {path: stamp_of(path) for path in paths}
-
-    def has_changed(self, path: Path) -> bool:
-        """Return whether a file is there that another program has written."""
-        return stamp_of(path) not in (None, self._stamps[path])
-
-    def renew(self, path: Path) -> None:
-        """Accept a file as it is now."""
-        self._stamps[path] = stamp_of(path)
-
-
 def stamp_of(path: Path) -> tuple[int, ...] | None:
     """Return a fingerprint that changes when another program writes the file; None for no file."""
     try:

@@ -43,7 +43,7 @@ from octex.session.commands import (
 )
 from octex.session.journal import Journal, layers_file
 from octex.session.material import images_of, paint_of, with_channel
-from octex.session.outside import Watch, put_aside, stamp_of, texture_of
+from octex.session.outside import put_aside, stamp_of, texture_of
 from octex.session.poses import Poses, mirrored_spot
 from octex.source.corners import at_corners
 from octex.source.motion import Motion
@@ -121,7 +121,8 @@ class Session:
         self._notice = ""  # of the last command
         self._taken: tuple[int, Any] = 0, None  # the last step that took OUTPUT's version, and its stamp
         self._files = {"output": output} if opened is None else {"output": output, "opened": opened}
-        self._watch = Watch([*self._files.values(), layers_file(output)])
+        # Of files as this session last read or wrote them.
+        self._stamps = {path: stamp_of(path) for path in (*self._files.values(), layers_file(output))}
         self._saved: list[int] | None = []  # the steps saved in OUTPUT; []: the input texture; None: unknown
         self._has_layers_file = False  # True once this session saved one
         self._before: OctreeTexture | None = None  # before the last command
@@ -181,9 +182,13 @@ class Session:
 
     def _opened_question(self) -> str:
         path = self._files.get("opened")
-        if path is None or not self._watch.has_changed(path):
+        if path is None or not self._has_changed(path):
             return ""
         return f"Another program has changed {path.name}. Which version do you want to paint on?"
+
+    def _has_changed(self, path: Path) -> bool:
+        """Return whether a file is there that another program has written."""
+        return stamp_of(path) not in (None, self._stamps[path])
 
     def _content_of(self, file: str) -> bytes:
         try:
@@ -375,7 +380,7 @@ class Session:
         paths = [self.output]
         if self._painter.layers or self._has_layers_file:
             paths.append(layers_file(self.output))
-        changed = [path for path in paths if self._watch.has_changed(path) and not self._has_taken(path)]
+        changed = [path for path in paths if self._has_changed(path) and not self._has_taken(path)]
         self._question = ""
         if changed and not replaces_of(command):
             names = " and ".join(path.name for path in changed)
@@ -388,8 +393,7 @@ class Session:
         self._has_layers_file = bool(self._painter.layers)
         if len(paths) > 1 and not self._has_layers_file:
             paths[1].unlink(missing_ok=True)
-        for path in paths:
-            self._watch.renew(path)
+        self._stamps |= {path: stamp_of(path) for path in paths}
         self._saved = [step.number for step in self._steps]
         if asides:
             self._notice = f"The other version is kept as {' and '.join(path.name for path in asides)}."
@@ -411,7 +415,7 @@ class Session:
         if path == self.output:
             self._taken = self._count, stamp
         else:
-            self._watch.renew(path)
+            self._stamps[path] = stamp
 
     def _has_taken(self, path: Path) -> bool:
         """Return whether the texture is made from the file's version: then saving loses nothing."""
@@ -421,7 +425,7 @@ class Session:
 
     def _do_keep(self, command: PageCommand) -> None:  # noqa: ARG002
         if "opened" in self._files:
-            self._watch.renew(self._files["opened"])
+            self._stamps[self._files["opened"]] = stamp_of(self._files["opened"])
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:

@@ -17,7 +17,7 @@ from octex.checks import as_whole
 from octex.errors import OctexError, OutputError
 from octex.formats.streams import deflated
 from octex.painting.composites import composite_after
-from octex.viewer.export import MODULES, PAINTING, PAINTING_SHADERS, SHADERS, page_text
+from octex.viewer.export import FILES, page_text
 from octex.viewer.mesh import packed_mesh
 from octex.viewer.pack import pack
 
@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 
 ADDRESS = "127.0.0.1"
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
-_FILES = {"": "index.html", "style.css": "style.css"}
-_FILES |= {name: name for name in [*MODULES, *PAINTING]}
-_FILES |= {f"shaders/{name}": f"shaders/{name}" for name in [*SHADERS, *PAINTING_SHADERS]}
 _PROOF = "/proof"
 _COMMAND = "application/octet-stream"
 _POLICY = (
@@ -126,8 +123,7 @@ class Handler(BaseHTTPRequestHandler):
             return
         if path == _PROOF:
             self._answer(self.viewer.proof(self.path.partition("?")[2]).encode(), "text/plain")
-        elif path in _FILES:
-            name = _FILES[path]
+        elif (name := path or "index.html") in FILES:
             self._answer(page_text(name).encode(), _TYPES.get(name.rpartition(".")[2], "text/plain"))
         elif path == "events":
             self.viewer.follow(self._events())

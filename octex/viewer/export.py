@@ -24,23 +24,17 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
 
-#: Modules, each after those that it imports.
+#: Modules of all pages, each after those that it imports; files contain no others.
 _NAMES = """
 elements reload octree data change mesh motion camera controls legend connection source part walk programs gpu
 player divider pick frames viewer
 """
 MODULES = [f"{name}.js" for name in _NAMES.split()]
-#: Modules, styles and shaders of painting pages, which files never contain.
-_PAINTING_NAMES = """
-panel path boxes dabs hit outline mirror stroke commands brush resize images stencil retouch preview external
-tools layers material palette exporting flat paint
-"""
-PAINTING = [*(f"{name}.js" for name in _PAINTING_NAMES.split()), "paint.css"]
-PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]
-SHADERS = ["directions.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "gbuffer.frag"]
-SHADERS += ["source.frag", "tiles.vert"]
-SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"
+_SHADERS = sorted(path.name for path in (_PAGE / "shaders").iterdir())
+_PAINTING_SHADERS = "stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"
+#: All files of the page.
+FILES = [path.name for path in _PAGE.iterdir() if path.is_file()] + [f"shaders/{name}" for name in _SHADERS]
 #: The ending of web files.
 WEB_ENDING = ".octw"
 #: Deflate's level for files, which are packed once.
@@ -146,7 +140,8 @@ def _inlined(packed: Packed) -> str:
         f"default-src 'none'; script-src '{_digest(script)}'; style-src '{_digest(style)}'; "
         "img-src blob: data:; base-uri 'none'; form-action 'none'"
     )
-    shaders = json.dumps({name: _bare(page_text(f"shaders/{name}")) for name in SHADERS})
+    names = [name for name in _SHADERS if name not in _PAINTING_SHADERS]
+    shaders = json.dumps({name: _bare(page_text(f"shaders/{name}")) for name in names})
     streams = {"shaders": deflated(shaders.encode(), _SMALLEST), **packed.streams}
     data = {"header": json.dumps(packed.header).replace("<", "\\u003c")}
     data |= {name: base64.b64encode(stream).decode() for name, stream in streams.items()}

@@ -12,7 +12,7 @@ from inputs import looked_up_torus, painted_torus, scattered_on_sphere, sphere_t
 from measuring import Setup, clocked, colors_of, in_turns, line, note, open3d, rates, timed, title
 
 import octex
-from octex.drawing.hits import rest_normals, visible_hits
+from octex.drawing.hits import visible_hits
 
 
 def sphere(setup: Setup) -> None:
@@ -96,7 +96,7 @@ def mixed(setup: Setup) -> None:
             "painted": octex.fill(even, surface, _tenth(points), (1, 0, 0), max_depth=depth + 1),
         }
         camera = octex.Camera.fitted(surface.vertices, (0.5, 0.4, 1.0), size=(side, side))
-        seen = [hit.rest for _, hit in visible_hits(surface, camera, rest_normals(surface))]
+        seen = [hit.rest for _, hit in visible_hits(surface, camera)]
         title(f"mixed: {name} at depth {depth}, {even.tree.n_leaves:,} leaves, quadratic")
         for what, each in {
             "in pixel order": np.concatenate(seen).astype(np.float32),

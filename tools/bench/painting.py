@@ -13,7 +13,7 @@ from inputs import painted_torus, sphere_texture, torus
 from measuring import Setup, clocked, colors_of, decibels, line, note, open3d, table, timed, title
 
 import octex
-from octex.drawing.hits import rest_normals, visible_hits
+from octex.drawing.hits import visible_hits
 from octex.photos import refine
 from octex.view.zbuffer import z_buffer
 from tests.make import painted
@@ -35,11 +35,12 @@ def ring(setup: Setup) -> None:
     for name, surface in _models(setup):
         cameras = _around(setup, surface, size)
         images = [_image(surface, camera) for camera in cameras]
-        hits = [each for c in cameras for _, each in visible_hits(surface, c, rest_normals(surface))]
+        hits = [each for c in cameras for _, each in visible_hits(surface, c)]
         width = float(np.concatenate([each.width for each in hits]).mean())
         depth = int(np.round(np.log2(np.ptp(surface.bounds, axis=0).max() / width)))
         samples = surface.scatter(count, seed=3)
-        seen = _seen(surface, cameras, samples)
+        seen_by = np.stack([_seen(surface, camera, samples) for camera in cameras])
+        seen = seen_by.any(axis=0)
         truth = painted.codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
         given, rows = Ring(images, cameras), []
         for mode in ("average", "robust", "best"):
@@ -50,8 +51,7 @@ def ring(setup: Setup) -> None:
             level = f"{decibels((found - truth)[seen]):.1f}"
             rows.append([mode, level, f"{missed:.2f} %", f"{texture.tree.n_leaves:,}", spent])
         table([f"{name}, depth {depth}", "dB", "left out", "leaves", "time"], rows)
-        each = np.stack([_seen(surface, [camera], samples) for camera in cameras])
-        disturbed(setup, name, surface, given, depth, Points(samples, truth, each))
+        disturbed(setup, name, surface, given, depth, Points(samples, truth, seen_by))
 
 
 def _models(setup: Setup) -> Iterator[tuple[str, octex.Surface]]:
@@ -82,7 +82,7 @@ def whole(setup: Setup) -> None:
     for what, each in (("painted", paint), ("baked", bake), ("written", write)):
         line(f"{name}: {what}", each)
     samples = model.scatter(count, seed=3)
-    seen = _seen(model, cameras, samples)
+    seen = np.any([_seen(model, camera, samples) for camera in cameras], axis=0)
     truth = painted.codes(model.evaluate(samples, "base_color")[seen])
     for what, values in (
         ("the texture", texture.sample(samples.rest, normals=samples.normals)),
@@ -163,14 +163,12 @@ def _image(surface: octex.Surface, camera: octex.Camera) -> Array:
     return image
 
 
-def _seen(surface: octex.Surface, cameras: list[octex.Camera], samples: Any) -> npt.NDArray[np.bool_]:
+def _seen(surface: octex.Surface, camera: octex.Camera, samples: Any) -> npt.NDArray[np.bool_]:
     """Say which samples a camera sees, by the triangles in an image of three times its size."""
-    found = np.zeros(len(samples.points), np.bool_)
-    for fine in (camera.scaled(3) for camera in cameras):
-        triangles = z_buffer(surface.vertices, surface.triangles, fine).triangle
-        places, _ = fine.project(samples.points)
-        i, j = np.clip(places.astype(np.int64), 0, [fine.width - 1, fine.height - 1]).T
-        toward = fine.position - samples.points
-        cosines = np.einsum("nk,nk->n", toward, samples.normals) / np.linalg.norm(toward, axis=1)
-        found |= (triangles[j, i] == samples.triangles) & (cosines > np.cos(np.radians(_MAX_ANGLE)))
-    return found
+    fine = camera.scaled(3)
+    triangles = z_buffer(surface.vertices, surface.triangles, fine).triangle
+    places, _ = fine.project(samples.points)
+    i, j = np.clip(places.astype(np.int64), 0, [fine.width - 1, fine.height - 1]).T
+    toward = fine.position - samples.points
+    cosines = np.einsum("nk,nk->n", toward, samples.normals) / np.linalg.norm(toward, axis=1)
+    return (triangles[j, i] == samples.triangles) & (cosines > np.cos(np.radians(_MAX_ANGLE)))

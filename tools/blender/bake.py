@@ -28,8 +28,9 @@ from PIL import Image
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.drawing import render_surface, texture_shader
+from octex.drawing import texture_shader
 from octex.drawing.hits import Hits
+from octex.drawing.rasters import film_surface
 from octex.drawing.shaders import Appearance
 
 DROID = Path(__file__).parents[2] / "samples" / "droid.glb"
@@ -147,15 +148,8 @@ def view(
     def unlit(hits: Hits) -> Appearance:
         return Appearance(emitted=look(hits).unlit())
 
-    def white(hits: Hits) -> Appearance:
-        return Appearance(emitted=np.ones((len(hits.rest), 3)))
-
-    def black(hits: Hits) -> Appearance:
-        return Appearance(emitted=np.zeros((len(hits.rest), 3)))
-
-    color, high, low = (render_surface(surface, camera, each, samples) for each in (unlit, white, black))
-    covered = (high - low)[..., :1] > 1 - 1e-6
-    return np.concatenate([255 * linear_to_srgb(np.clip(color, 0, 1)), 255.0 * covered], axis=2)
+    color, coverage = film_surface(surface, camera, [unlit], samples)[0].exposure()
+    return 255 * np.concatenate([linear_to_srgb(np.clip(color, 0, 1)), coverage > 1 - 1e-6], axis=2)
 
 
 if __name__ == "__main__":

@@ -116,34 +116,87 @@ def worst(difference: np.ndarray) -> float:
     return float(np.abs(difference).max() * 255)
 
 
+def save(image: bpy.types.Image, path: Path) -> bpy.types.Image:
+    """Save an image as PNG, and return it."""
+    image.filepath_raw, image.file_format = str(path), "PNG"
+    image.save()
+    return image
+
+
+def uv_of(chosen: bpy.types.Object, layer: int | str = 0) -> np.ndarray:
+    """Return the texture coordinates of corners (n, 2)."""
+    uv = np.empty(2 * len(chosen.data.loops), np.float32)
+    chosen.data.uv_layers[layer].uv.foreach_get("vector", uv)
+    return uv.reshape(-1, 2)
+
+
+def at_uv(chosen: bpy.types.Object) -> float:
+    """Return how far the colours are from a gradient at the first UVs, away from poles and seam."""
+    bpy.ops.octex.colors()
+    uv = uv_of(chosen)
+    inside = (np.abs(uv - 0.5) < 0.4).all(axis=1)  # at the poles and the seam, texels meet others
+    return worst(colors(chosen)[inside, :2] - uv[inside])
+
+
+def image_of(chosen: bpy.types.Object) -> tuple[bpy.types.Image, np.ndarray]:
+    """Return the first image that an object shows, and its pixels (height, width, 4)."""
+    nodes = chosen.material_slots[0].material.node_tree.nodes
+    image = next(each for each in nodes if each.type == "TEX_IMAGE").image
+    pixels = np.empty(len(image.pixels), np.float32)
+    image.pixels.foreach_get(pixels)
+    return image, pixels.reshape(image.size[1], image.size[0], 4)
+
+
+def camera_at(place: tuple[float, float, float], chosen: bpy.types.Object) -> bpy.types.Object:
+    """Return a new camera of the scene that looks at an object."""
+    scene = bpy.context.scene
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(camera)
+    camera.location = place
+    camera.rotation_euler = (camera.location - chosen.location).to_track_quat("Z", "Y").to_euler()
+    scene.camera = camera
+    scene.render.resolution_x = scene.render.resolution_y = SIZE
+    bpy.context.view_layer.update()
+    return camera
+
+
+def seen_at(chosen: bpy.types.Object, camera: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
+    """Return where a camera's image has the corners (n, 2), and which of them it sees well."""
+    places, seen = [], []
+    for loop in chosen.data.loops:
+        place = chosen.matrix_world @ chosen.data.vertices[loop.vertex_index].co
+        outward = (place - chosen.location).normalized()
+        places.append(world_to_camera_view(bpy.context.scene, camera, Vector(place))[:2])
+        seen.append(outward.dot((camera.location - place).normalized()) > 0.6)
+    return np.array(places), np.array(seen)
+
+
+def refusal(command: str) -> str:
+    """Return why a command refuses the active object."""
+    try:
+        getattr(bpy.ops.octex, command)()
+    except RuntimeError as error:
+        return str(error).removeprefix("Error: ").strip()
+    return "it did not refuse"
+
+
 def refused(folder: Path) -> list[str]:
     """Return what is said of objects that cannot be used."""
-    said = []
-
-    def attempt(command: str) -> None:
-        try:
-            getattr(bpy.ops.octex, command)()
-        except RuntimeError as error:
-            said.append(str(error).removeprefix("Error: ").strip())
-
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     ball()
-    attempt("make")
+    said = [refusal("make")]
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
-    attempt("colors")
-    attempt("photographs")
-    attempt("images")
+    said += map(refusal, ("colors", "photographs", "images"))
     empty = bpy.data.objects.new("empty", bpy.data.meshes.new("empty"))
     bpy.context.scene.collection.objects.link(empty)
     bpy.context.view_layer.objects.active = empty
-    attempt("make")
+    said.append(refusal("make"))
     bpy.context.view_layer.objects.active = bpy.data.objects["ball"]
     bpy.ops.object.mode_set(mode="EDIT")
-    attempt("make")
+    said.append(refusal("make"))
     bpy.ops.object.mode_set(mode="OBJECT")
     (folder / "ball.octex").write_bytes(b"no texture")
-    attempt("colors")
-    return said
+    return [*said, refusal("colors")]
 
 
 def grey() -> float:
@@ -158,25 +211,12 @@ def grey() -> float:
 def material(folder: Path) -> dict[str, Any]:
     """Make a texture of a material's image, and return how far the colours are from it at the UVs."""
     chosen = ball("painted")
-    image = gradient("gradient")
-    image.filepath_raw, image.file_format = str(folder / "gradient.png"), "PNG"
-    image.save()
-    own_material(chosen, image)
+    own_material(chosen, save(gradient("gradient"), folder / "gradient.png"))
     chosen.octex.depth = 8
     bpy.ops.octex.make()
-    bpy.ops.octex.colors()
-    uv = np.empty(2 * len(chosen.data.loops), np.float32)
-    chosen.data.uv_layers[0].uv.foreach_get("vector", uv)
-    uv = uv.reshape(-1, 2)
-    inside = (np.abs(uv - 0.5) < 0.4).all(axis=1)  # at the poles and the seam, texels meet others
-    shown = chosen.material_slots[0].material.name
-    return {
-        "worst": worst(colors(chosen)[inside, :2] - uv[inside]),
-        "kept": chosen.data.materials[0].name,
-        "shown": shown,
-        "scenes": len(bpy.data.scenes),
-        "objects": len(bpy.data.objects),
-    }
+    found = at_uv(chosen)
+    names = {"kept": chosen.data.materials[0].name, "shown": chosen.material_slots[0].material.name}
+    return names | {"worst": found, "scenes": len(bpy.data.scenes)}
 
 
 def atlas() -> dict[str, Any]:
@@ -184,50 +224,27 @@ def atlas() -> dict[str, Any]:
     chosen = bpy.data.objects["painted"]
     chosen.octex.layout, chosen.octex.texture_size = "ATLAS", 512
     bpy.ops.octex.images()
-    node = next(
-        each for each in chosen.material_slots[0].material.node_tree.nodes if each.type == "TEX_IMAGE"
-    )
-    size = node.image.size[0]
-    pixels = np.empty(4 * size * size, np.float32)
-    node.image.pixels.foreach_get(pixels)
-    uv = np.empty(2 * len(chosen.data.loops), np.float32)
-    chosen.data.uv_layers[objects.UV_MAP].uv.foreach_get("vector", uv)
-    places = np.clip((uv.reshape(-1, 2) * size).astype(int), 0, size - 1)
-    found = pixels.reshape(size, size, 4)[places[:, 1], places[:, 0], :2]
-    off = np.abs(found - colors(chosen)[:, :2]).max(axis=1) * 255
-    return {"size": size, "median": float(np.median(off)), "space": node.image.colorspace_settings.name}
+    image, pixels = image_of(chosen)
+    size = len(pixels)
+    places = np.clip((uv_of(chosen, objects.UV_MAP) * size).astype(int), 0, size - 1)
+    off = np.abs(pixels[places[:, 1], places[:, 0], :2] - colors(chosen)[:, :2]).max(axis=1) * 255
+    return {"size": size, "median": float(np.median(off)), "space": image.colorspace_settings.name}
 
 
 def photograph(folder: Path) -> dict[str, Any]:
     """Project a camera's background image, and return how far colours are from it where it sees the ball."""
     chosen = bpy.data.objects["ball"]
-    image = gradient("photograph")
-    image.filepath_raw, image.file_format = str(folder / "photograph.png"), "PNG"
-    image.save()
+    image = save(gradient("photograph"), folder / "photograph.png")
     image.pack()
     (folder / "photograph.png").unlink()
-    data = bpy.data.cameras.new("camera")
-    data.lens, data.shift_x, data.shift_y = 40.0, 0.05, -0.02
-    camera = bpy.data.objects.new("camera", data)
-    scene = bpy.context.scene
-    scene.collection.objects.link(camera)
-    camera.location = (9, -8, 4)
-    camera.rotation_euler = (camera.location - chosen.location).to_track_quat("Z", "Y").to_euler()
-    data.background_images.new().image = image
-    scene.render.resolution_x = scene.render.resolution_y = SIZE
+    camera = camera_at((9, -8, 4), chosen)
+    camera.data.lens, camera.data.shift_x, camera.data.shift_y = 40.0, 0.05, -0.02
+    camera.data.background_images.new().image = image
     bpy.context.view_layer.objects.active = chosen
-    bpy.context.view_layer.update()
     bpy.ops.octex.photographs()
     bpy.ops.octex.colors()
-    found = colors(chosen)
-    off = []
-    for loop in chosen.data.loops:
-        place = chosen.matrix_world @ chosen.data.vertices[loop.vertex_index].co
-        outward = (place - chosen.location).normalized()
-        if outward.dot((camera.location - place).normalized()) > 0.6:
-            seen = world_to_camera_view(scene, camera, Vector(place))
-            off.append(np.abs(found[loop.index, :2] - seen[:2]).max() * 255)
-    return {"corners": len(off), "worst": max(off)}
+    places, is_seen = seen_at(chosen, camera)
+    return {"corners": int(is_seen.sum()), "worst": worst(colors(chosen)[is_seen, :2] - places[is_seen])}
 
 
 def painted() -> dict[str, Any]:

@@ -19,12 +19,25 @@ from typing import Any
 import bpy  # type: ignore[import-not-found]
 import extension
 import numpy as np
-from bpy_extras.object_utils import world_to_camera_view  # type: ignore[import-not-found]
 from extension import handover, objects, watching
 from extension.jobs import Job
-from mathutils import Matrix, Vector  # type: ignore[import-not-found]
+from mathutils import Matrix  # type: ignore[import-not-found]
 from PIL import Image
-from try_extension import SIZE, ball, colors, gradient, own_material, worst
+from try_extension import (
+    SIZE,
+    at_uv,
+    ball,
+    camera_at,
+    colors,
+    gradient,
+    image_of,
+    own_material,
+    refusal,
+    save,
+    seen_at,
+    uv_of,
+    worst,
+)
 
 RED = (1.0, 0.0, 0.0)
 
@@ -44,28 +57,9 @@ def main() -> int:
     return 0
 
 
-def refusal(command: str) -> str:
-    """Return why a command refuses the active object."""
-    try:
-        getattr(bpy.ops.octex, command)()
-    except RuntimeError as error:
-        return str(error).removeprefix("Error: ").strip()
-    return "it did not refuse"
-
-
 def middle(difference: np.ndarray) -> float:
     """Return the median of the largest differences (n, k) of rows."""
     return float(np.median(np.abs(difference).max(axis=1)) * 255)
-
-
-def at_uv(chosen: bpy.types.Object) -> float:
-    """Return how far the colours are from a gradient at the first UVs, away from poles and seam."""
-    bpy.ops.octex.colors()
-    uv = np.empty(2 * len(chosen.data.loops), np.float32)
-    chosen.data.uv_layers[0].uv.foreach_get("vector", uv)
-    uv = uv.reshape(-1, 2)
-    inside = (np.abs(uv - 0.5) < 0.4).all(axis=1)
-    return worst(colors(chosen)[inside, :2] - uv[inside])
 
 
 def images(folder: Path) -> dict[str, Any]:
@@ -79,8 +73,7 @@ def images(folder: Path) -> dict[str, Any]:
     image.pack()
     bpy.ops.octex.make()
     told["packed"] = at_uv(chosen)
-    image.filepath_raw, image.file_format = str(folder / "gradient.png"), "PNG"
-    image.save()
+    save(image, folder / "gradient.png")
     node.image = bpy.data.images.load(str(folder / "gradient.png"))
     objects.check_images(chosen)
     told["was read"] = node.image.has_data
@@ -174,20 +167,15 @@ def strokes(_folder: Path) -> dict[str, Any]:
         bpy.ops.octex.colors()
         before = colors(chosen)
         bpy.ops.octex.images()
-        tree = chosen.material_slots[0].material.node_tree
-        image = next(each for each in tree.nodes if each.type == "TEX_IMAGE").image
-        pixels = np.empty(4 * 512 * 512, np.float32)
-        image.pixels.foreach_get(pixels)
-        pixels.reshape(512, 512, 4)[200:300, 100:220, :3] = RED
-        image.pixels.foreach_set(pixels)
-        layer = chosen.data.uv_layers[objects.UV_MAP if layout == "ATLAS" else 0]
-        uv = np.empty(2 * len(chosen.data.loops), np.float32)
-        layer.uv.foreach_get("vector", uv)
+        image, pixels = image_of(chosen)
+        pixels[200:300, 100:220, :3] = RED
+        image.pixels.foreach_set(pixels.reshape(-1))
+        uv = uv_of(chosen, objects.UV_MAP if layout == "ATLAS" else 0)
         refused = refusal("images")
         bpy.ops.octex.strokes()
         is_kept = texture.with_suffix(".octex1").read_bytes() == content
         bpy.ops.octex.colors()
-        u, v = 512 * uv.reshape(-1, 2).T
+        u, v = 512 * uv.T
         inside = (u > 120) & (u < 200) & (v > 220) & (v < 280)
         beside = (u < 80) | (u > 240) | (v < 180) | (v > 320)
         told[layout] = {
@@ -199,30 +187,6 @@ def strokes(_folder: Path) -> dict[str, Any]:
             "baked after": refusal("images"),
         }
     return told
-
-
-def camera_at(place: tuple[float, float, float], chosen: bpy.types.Object) -> bpy.types.Object:
-    """Return a new camera of the scene that looks at an object."""
-    scene = bpy.context.scene
-    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
-    scene.collection.objects.link(camera)
-    camera.location = place
-    camera.rotation_euler = (camera.location - chosen.location).to_track_quat("Z", "Y").to_euler()
-    scene.camera = camera
-    scene.render.resolution_x = scene.render.resolution_y = SIZE
-    bpy.context.view_layer.update()
-    return camera
-
-
-def seen_at(chosen: bpy.types.Object, camera: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Return where a camera's image has the corners (n, 2), and which of them it sees well."""
-    places, seen = [], []
-    for loop in chosen.data.loops:
-        place = chosen.matrix_world @ chosen.data.vertices[loop.vertex_index].co
-        outward = (place - chosen.location).normalized()
-        places.append(world_to_camera_view(bpy.context.scene, camera, Vector(place))[:2])
-        seen.append(outward.dot((camera.location - place).normalized()) > 0.6)
-    return np.array(places), np.array(seen)
 
 
 def view(_folder: Path) -> dict[str, Any]:
@@ -272,9 +236,7 @@ def colmap(folder: Path) -> dict[str, Any]:
     chosen.octex.cameras = "//sparse/0"
     told: dict[str, Any] = {"missing": refusal("photographs")}
     (folder / "images").mkdir()
-    image = gradient("one")
-    image.filepath_raw, image.file_format = str(folder / "images" / "one.png"), "PNG"
-    image.save()
+    save(gradient("one"), folder / "images" / "one.png")
     bpy.ops.octex.photographs()
     bpy.ops.octex.colors()
     places, is_seen = seen_at(chosen, camera)

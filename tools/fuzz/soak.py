@@ -17,13 +17,10 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import os
 import re
 import resource
-import selectors
 import signal
-import subprocess
 import sys
 import time
 import traceback
@@ -32,9 +29,11 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
 from itertools import count
+from multiprocessing import Pipe, get_context
+from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from tempfile import TemporaryFile
-from typing import IO, NamedTuple
+from tempfile import NamedTemporaryFile
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 PREFIX = "random_"
@@ -73,10 +72,11 @@ def failure_of(error: BaseException) -> Failure:
     return Failure(f"{type(cause).__name__} in {where}: {said}", message)
 
 
-def work(kind: str, memory: int) -> int:
-    """Check the seeds that come line by line on stdin; answer each with a line of JSON."""
-    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)  # what tests print must not look like an answer
+def work(kind: str, memory: int, pipe: Connection, said: str) -> None:
+    """Check the seeds that come through a pipe, and answer each; ``said`` is the file of what tests print."""
+    with Path(said).open("w", encoding="utf-8") as file:
+        for stream in (1, 2):
+            os.dup2(file.fileno(), stream)
     sys.path[:0] = [str(ROOT), str(FOLDERS[1])]
     package = "tests.properties." if (FOLDERS[0] / f"{PREFIX}{kind}.py").exists() else ""
     module = importlib.import_module(f"{package}{PREFIX}{kind}")
@@ -86,64 +86,53 @@ def work(kind: str, memory: int) -> int:
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     warnings.simplefilter("error")  # as the tests have it
-    for line in sys.stdin:
-        try:
-            answer = module.check(int(line)) or ""
-        except Exception as error:
-            answer = failure_of(error)
-        print(json.dumps(answer), file=answers, flush=True)
-    return 0
+    with suppress(EOFError):  # the tool has ended
+        while True:
+            seed = pipe.recv()
+            try:
+                answer = module.check(seed) or ""
+            except Exception as error:
+                answer = failure_of(error)
+            pipe.send(answer)
 
 
 class Worker:
     """A process that checks seeds of one kind."""
 
     def __init__(self, kind: str, memory: int) -> None:
-        self.kind = kind
-        self.seed = -1
-        self.began = 0.0
-        self.done = 0
-        self._said = TemporaryFile()  # noqa: SIM115 - open as long as the process runs
-        command = [sys.executable, __file__, "--work", kind, "--memory", str(memory / 2**30)]
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._said, text=True
-        )
-
-    @property
-    def answers(self) -> IO[str]:
-        """Where its answers come from."""
-        assert self._process.stdout
-        return self._process.stdout
+        self.kind, self.seed, self.began, self.done = kind, -1, 0.0, 0
+        self._said = NamedTemporaryFile()  # noqa: SIM115 - open as long as the process runs
+        self.pipe, other = Pipe()
+        arguments = kind, memory, other, self._said.name
+        self._process = get_context("spawn").Process(target=work, args=arguments, daemon=True)
+        self._process.start()
+        other.close()
 
     def start(self, seed: int) -> None:
         """Have it check a seed."""
         self.seed, self.began = seed, time.monotonic()
-        assert self._process.stdin
         with suppress(BrokenPipeError):  # it has died; its answers have ended
-            print(seed, file=self._process.stdin, flush=True)
+            self.pipe.send(seed)
 
     def answer(self) -> Failure | str:
         """Return the words or the failure of its seed; how it ended if it says nothing."""
-        line = self.answers.readline()
-        if not line:
-            status = self._process.wait()
+        try:
+            answer: Failure | str = self.pipe.recv()
+        except (EOFError, ConnectionResetError):
+            self._process.join()
+            status = self._process.exitcode or 0
             how = signal.Signals(-status).name if status < 0 else f"exit code {status}"
-            self._said.seek(0)
-            said = self._said.read().decode("utf-8", "replace").strip().splitlines()[-1:]
+            said = Path(self._said.name).read_text("utf-8", errors="replace").strip().splitlines()[-1:]
             return Failure(f"CRASH: {how}", " ".join([f"the process ended with {how}", *said]))
         self.done += 1
-        found = json.loads(line)
-        return found if isinstance(found, str) else Failure(*found)
+        return answer
 
     def end(self) -> None:
         """End it, whatever it is at."""
         self._process.kill()
-        self._process.wait()
+        self._process.join()
+        self.pipe.close()
         self._said.close()
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream:
-                with suppress(BrokenPipeError):
-                    stream.close()
 
 
 class Report:
@@ -191,54 +180,51 @@ def soak(
     rounds = count(first) if most is None else range(first, first + most)
     waiting = ((kind, seed) for seed in rounds for kind in chosen)
     ends = time.monotonic() + seconds
-    with selectors.DefaultSelector() as selector:
-        running: dict[int, Worker] = {}
-        idle: list[Worker] = []
+    running: list[Worker] = []
+    idle: list[Worker] = []
 
-        def begin() -> bool:
-            job = next(waiting, None) if time.monotonic() < ends else None
-            if job is None:
-                return False
-            kind, seed = job
-            worker = next((each for each in idle if each.kind == kind), None)
-            if worker is None:
-                worker = Worker(kind, memory)
-            else:
-                idle.remove(worker)
-            worker.start(seed)
-            running[worker.answers.fileno()] = worker
-            selector.register(worker.answers, selectors.EVENT_READ, worker)
-            return True
+    def begin() -> bool:
+        job = next(waiting, None) if time.monotonic() < ends else None
+        if job is None:
+            return False
+        kind, seed = job
+        worker = next((each for each in idle if each.kind == kind), None)
+        if worker is None:
+            worker = Worker(kind, memory)
+        else:
+            idle.remove(worker)
+        worker.start(seed)
+        running.append(worker)
+        return True
 
-        def finish(worker: Worker, failure: Failure | str, *, is_fit: bool) -> None:
-            selector.unregister(worker.answers)
-            del running[worker.answers.fileno()]
-            report.add(worker.kind, worker.seed, failure)
-            if is_fit and worker.done < MOST_SEEDS:
-                idle.append(worker)
-            else:
-                worker.end()
+    def finish(worker: Worker, failure: Failure | str, *, is_fit: bool) -> None:
+        running.remove(worker)
+        report.add(worker.kind, worker.seed, failure)
+        if is_fit and worker.done < MOST_SEEDS:
+            idle.append(worker)
+        else:
+            worker.end()
 
-        try:
-            while True:
-                while len(running) < jobs and begin():
-                    pass
-                if not running:
-                    return report
-                for key, _ in selector.select(timeout=0.5):
-                    worker: Worker = key.data
+    try:
+        while True:
+            while len(running) < jobs and begin():
+                pass
+            if not running:
+                return report
+            answered = wait([worker.pipe for worker in running], 0.5)
+            for worker in [*running]:
+                if worker.pipe in answered:
                     done = worker.done
                     failure = worker.answer()
                     finish(worker, failure, is_fit=worker.done > done)
-                for worker in [*running.values()]:
-                    if time.monotonic() - worker.began > limit:
-                        said = f"took longer than {limit:g} s"
-                        finish(worker, Failure(f"HANG: {said}", said), is_fit=False)
-        except KeyboardInterrupt:
-            return report
-        finally:
-            for worker in [*running.values(), *idle]:
-                worker.end()
+                elif time.monotonic() - worker.began > limit:
+                    said = f"took longer than {limit:g} s"
+                    finish(worker, Failure(f"HANG: {said}", said), is_fit=False)
+    except KeyboardInterrupt:
+        return report
+    finally:
+        for worker in [*running, *idle]:
+            worker.end()
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -255,18 +241,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, help="how many of each kind, at most")
     parser.add_argument("--limit", type=float, default=60.0, help="seconds for a seed (60)")
     parser.add_argument("--memory", type=float, default=4.0, help="gigabytes for a process (4)")
-    parser.add_argument("--work", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
-    memory = int(options.memory * 2**30)
-    if options.work:
-        return work(options.work, memory)
     for kind in options.kinds:
         if kind not in kinds():
             parser.error(f"there is no {PREFIX}{kind}.py; there are {', '.join(kinds())}")
     chosen = list(dict.fromkeys(options.kinds)) or kinds()
-    report = soak(
-        chosen, 60 * options.minutes, max(options.jobs, 1), options.seed, options.seeds, options.limit, memory
-    )
+    jobs, memory = max(options.jobs, 1), int(options.memory * 2**30)
+    report = soak(chosen, 60 * options.minutes, jobs, options.seed, options.seeds, options.limit, memory)
     print("\n".join(report.rows()))
     return int(bool(report.failures))
 

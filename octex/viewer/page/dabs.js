@@ -37,10 +37,7 @@ export class Dabs {
     if (!box) return null;
     const program = gpu.programs.use("dabs", viewer.parts[0], viewer.display, 0);
     gpu.bind(program, { u_before: this.before.textures[0] });
-    gl.uniform4fv(program.at("u_dabs[0]"), dabs.flat());
-    gl.uniform1i(program.at("u_count"), dabs.length);
-    gl.uniform1f(program.at("u_flow"), flow);
-    gl.uniform1f(program.at("u_hardness"), hardness);
+    program.set({ u_dabs: dabs, u_count: dabs.length, u_flow: flow, u_hardness: hardness });
     gpu.drawInBox(this.after, box, () => gl.drawArrays(gl.TRIANGLES, 0, 3));
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, this.after.buffer);
     [this.before, target].forEach(({ buffer }, number) => {

@@ -75,8 +75,7 @@ export class Frames {
       this.isDrawn = true;
       this.painting?.imageDrawn();
     }
-    if (this.gpu.hasMoreCubes) this.invalidate();
-    else if (!this.isSharp || this.isTurning) this.requestFrame();
+    if (!this.isSharp || this.isTurning) this.requestFrame();
   }
 
   // Begin the sharp image: it is the last one, scaled, until its tiles are drawn.

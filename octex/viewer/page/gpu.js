@@ -15,6 +15,7 @@ const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alphas that 8 bits round to 0 an
 const OPAQUE_ONLY = [OPAQUE, 2], TRANSLUCENT_ONLY = [CLEAR, OPAQUE], VISIBLE = [CLEAR, 2], ANY_ALPHA = null;
 const MAX_CUBES = 1 << 20;
 const CUBE_COLORS = { depth: 1, facing: 2 }; // as u_by has them
+const CELL_COLORS = { u_levels: LEVELS, u_facings: FACINGS };
 const LIGHT_UNIT = 28, MOTION_UNIT = 30; // texture units; lower ones are the octree's and the image's
 const BACKGROUND = [0.925, 0.93, 0.94, 1];
 
@@ -56,28 +57,19 @@ export class Gpu {
   }
 
   setLight(program) {
-    const { gl } = this, [{ tables, reflectances }] = this.studio, [first, height, width] = tables.at(-1);
+    const [{ tables, reflectances }] = this.studio, [first, height, width] = tables.at(-1);
     this.bind(program, { u_studio: this.light }, LIGHT_UNIT);
-    gl.uniform3iv(program.at("u_tables[0]"), tables.flat());
-    gl.uniform2i(program.at("u_reflectances"), first + height * width, reflectances);
-  }
-
-  setColors(program) {
-    this.gl.uniform3fv(program.at("u_levels[0]"), LEVELS.flat());
-    this.gl.uniform3fv(program.at("u_facings[0]"), FACINGS.flat());
+    program.set({ u_tables: tables, u_reflectances: [first + height * width, reflectances] });
   }
 
   // Set the uniforms that pose a part at a time of an animation.
   setPose(program, part, { animation, time }) {
-    const { gl } = this, { motion, frames, header } = part;
+    const { motion, frames, header } = part;
     if (!frames.has(animation)) frames.set(animation, part.floatTexture(motion.animations[animation].texels));
     const { before, after, share } = motion.framesAt(animation, time);
     this.bind(program, { u_links: part.links, u_frames: frames.get(animation) }, MOTION_UNIT);
-    gl.uniform2i(program.at("u_frame"), before, after);
-    gl.uniform1f(program.at("u_share"), share);
-    gl.uniform1i(program.at("u_firstTarget"), 3 * motion.header.bones);
-    gl.uniform1ui(program.at("u_turns"), motion.header.entries[1]);
-    gl.uniform4f(program.at("u_root"), ...header.origin, header.size);
+    const { bones, entries } = motion.header, u_root = [header.origin, header.size];
+    program.set({ u_frame: [before, after], u_share: share, u_firstTarget: 3 * bones, u_turns: entries[1], u_root });
   }
 
   // Bind textures to a program's samplers, by name, to units from `first` on.
@@ -86,25 +78,20 @@ export class Gpu {
     Object.entries(textures).forEach(([name, texture], n) => {
       gl.activeTexture(gl.TEXTURE0 + first + n);
       gl.bindTexture(kind, texture);
-      gl.uniform1i(program.at(name), first + n);
+      program.set({ [name]: first + n });
     });
     gl.activeTexture(gl.TEXTURE0);
   }
 
   // Bind an octree and other textures to a program, and set its uniforms.
   setOctree(program, part, display, textures = {}) {
-    const { gl } = this, { octree } = part;
     part.stores.forEach(({ name, kind, texture }, unit) => this.bind(program, { [name]: texture }, unit, kind));
     this.bind(program, textures, part.stores.length);
-    for (const [name, value] of Object.entries(walkUniforms(octree, Math.min(display.level, part.deepest)))) {
-      if (Array.isArray(value)) gl.uniform3ui(program.at(name), ...value);
-      else gl.uniform1i(program.at(name), value);
-    }
+    program.set(walkUniforms(part.octree, Math.min(display.level, part.deepest)));
   }
 
   setCamera(program, camera, pixel = null, size = null) {
-    this.gl.uniformMatrix4fv(program.at("u_projection"), false, camera.projection(pixel, size));
-    this.gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
+    program.set({ u_projection: camera.projection(pixel, size), u_view: camera.view });
   }
 
   // Draw the image in a size, or only a part of it: `scissor` is a box (left, bottom, width, height), `region` a box of the
@@ -117,7 +104,6 @@ export class Gpu {
     gl.viewport(0, 0, width, height);
     gl.clearColor(...this.background);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    this.hasMoreCubes = false; // whether another frame will have more cubes
     if (this.showsCubes(display)) this.drawCubes(display, camera);
     else this.drawSurface({ ...display, region, scissor }, camera, width, height);
   }
@@ -140,8 +126,7 @@ export class Gpu {
       const program = this.programs.use(isLayered ? "layers" : "gbuffer", part, layered, planes);
       if (isLayered) {
         this.setOctree(program, part, display);
-        gl.uniform1i(program.at("u_footprints"), display.footprints ? 1 : 0);
-        gl.uniform2fv(program.at("u_alphas"), alphas);
+        program.set({ u_footprints: display.footprints, u_alphas: alphas });
       }
       this.setCamera(program, camera, pixel, [width, height]);
       if (display.moment) this.setPose(program, part, display.moment);
@@ -260,27 +245,18 @@ export class Gpu {
 
   // Prepare the program that draws the surface of a part.
   useSurface(part, number, display, camera, textures, { width, height }) {
-    const { gl } = this, planes = planesFor(part, display), program = this.programs.use("surface", part, display, planes);
+    const planes = planesFor(part, display), program = this.programs.use("surface", part, display, planes);
+    const { index, edge } = display.highlight?.part === number ? display.highlight : { index: [0, 0, 0], edge: 0 };
+    const { relief, divider, footprints, region } = display, [low, high] = region ?? [[], []];
     this.setOctree(program, part, display, textures);
     this.setLight(program);
-    this.setColors(program);
     display.strokes?.setUniforms(program, width, height, planes);
-    gl.uniform1f(program.at("u_relief"), display.relief);
-    gl.uniform1f(program.at("u_divider"), display.divider * width);
-    gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
-    gl.uniform1i(program.at("u_kind"), CHANNEL_KINDS[part.channel(display.channel)?.space] ?? 0);
-    gl.uniform1i(program.at("u_footprints"), display.footprints ? 1 : 0);
-    gl.uniform1i(program.at("u_hasRegion"), display.region ? 1 : 0);
-    if (display.region) {
-      const [low, high] = display.region;
-      gl.uniform3fv(program.at("u_regionLow"), low.slice(0, 3));
-      gl.uniform3fv(program.at("u_regionHigh"), high.slice(0, 3));
-      gl.uniform4f(program.at("u_regionPart"), ...low.slice(3), ...high.slice(3));
-      gl.uniform2f(program.at("u_size"), width, height);
-    }
-    const { index, edge } = display.highlight?.part === number ? display.highlight : { index: [0, 0, 0], edge: 0 };
-    gl.uniform3fv(program.at("u_marked"), index.map((n) => n * edge));
-    gl.uniform1f(program.at("u_markedEdge"), edge);
+    program.set({
+      ...CELL_COLORS, u_relief: relief, u_divider: divider * width, u_view: camera.view, u_footprints: footprints,
+      u_kind: CHANNEL_KINDS[part.channel(display.channel)?.space] ?? 0, u_marked: index.map((n) => n * edge), u_markedEdge: edge,
+      u_hasRegion: Boolean(region),
+    });
+    if (region) program.set({ u_regionLow: low.slice(0, 3), u_regionHigh: high.slice(0, 3), u_regionPart: [low.slice(3), high.slice(3)], u_size: [width, height] });
   }
 
   // Draw the colours of the model's own images; returns the texture.
@@ -316,20 +292,16 @@ export class Gpu {
     for (const [number, part] of this.parts.entries()) {
       if (part.octree.depth < 0) continue;
       const { origin, size: edge, channels, flags } = part.header, cubes = part.cubesAt(level);
-      this.hasMoreCubes ||= !cubes.isComplete;
       const channel = part.channel(display.mode === "channel" ? display.channel : "base_color") ?? channels[0];
       const shown = { mode: "channel", channel: channel.name, isPicked: pixel !== null };
       const planes = 1 + Math.max(channel.at[0], display.mode === "facing" ? flags[0] : 0);
       const program = this.programs.use("cubes", part, shown, planes);
       this.setOctree(program, part, display);
       this.setCamera(program, camera, pixel, size);
-      gl.uniform1ui(program.at("u_part"), number);
-      gl.uniform1i(program.at("u_kind"), CHANNEL_KINDS[channel.space]);
-      gl.uniform1i(program.at("u_by"), CUBE_COLORS[display.mode] ?? 0);
-      this.setColors(program);
-      gl.uniform3fv(program.at("u_low"), origin);
-      gl.uniform1f(program.at("u_edge"), edge);
-      gl.uniform3fv(program.at("u_camera"), camera.position.map((x, n) => (x - origin[n]) / edge));
+      program.set({
+        ...CELL_COLORS, u_part: number, u_kind: CHANNEL_KINDS[channel.space], u_by: CUBE_COLORS[display.mode] ?? 0, u_low: origin, u_edge: edge,
+        u_camera: camera.position.map((x, n) => (x - origin[n]) / edge),
+      });
       gl.bindVertexArray(cubes.array);
       gl.drawArraysInstanced(gl.TRIANGLES, 0, 18, cubes.count);
     }
@@ -374,9 +346,7 @@ export class Gpu {
     this.drawVisible(gbuffer, (part, number) => {
       const planes = part.header.planes.length, program = this.programs.use("probe", part, display, planes);
       this.setOctree(program, part, display, { u_positions: gbuffer.textures[0], u_directions: gbuffer.textures[1] });
-      gl.uniform1f(program.at("u_width"), display.footprints ? footprint : 0);
-      gl.uniform1i(program.at("u_plane"), plane);
-      gl.uniform1f(program.at("u_part"), number);
+      program.set({ u_width: display.footprints ? footprint : 0, u_plane: plane, u_part: number });
     });
     const read = (target, number) => new Float32Array(this.readUints(target, number).buffer);
     return { positions: read(gbuffer, 0), values: read(values, 0), normals: read(values, 1) };

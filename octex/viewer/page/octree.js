@@ -2,7 +2,6 @@
 // laid out as in octex/tree/layout.py, streams as in octex/formats/web.py.
 
 export const ROW = 4096; // texels in a row of the textures
-const CUBE_NODES = 2048; // nodes between two yields of `cubes`
 
 export async function inflate(blob) {
   return new Uint8Array(await new Response(blob.stream().pipeThrough(new DecompressionStream("deflate-raw"))).arrayBuffer());
@@ -135,17 +134,17 @@ export class Octree {
     if (level > 0) this.readMasks(level, reader, first, parents, isNode);
     else isNode[0] = this.nodes.at(-1) > 0 ? 1 : 0;
     const next = (length) => reader.bytes.subarray(reader.at, (reader.at += length));
-    const hasParents = level > 0, firstNode = this.nodes[level], nNodes = isNode.reduce((sum, is) => sum + is, 0);
+    const firstNode = this.nodes[level], nNodes = isNode.reduce((sum, is) => sum + is, 0);
     const put = ([plane, slot], codes, cellOf, join) => {
       const values = this.planes[plane];
       for (let n = 0; n < codes.length; n++) {
         const cell = cellOf(n);
-        values[4 * cell + slot] = join(codes[n], hasParents ? values[4 * parents[cell - first] + slot] : 0);
+        values[4 * cell + slot] = join(codes[n], values[4 * parents[cell - first] + slot]); // the root is its own parent: 0
       }
     };
     put(this.header.area, next(nNodes), (n) => this.owners[firstNode + n], (a, b) => (a + b) & 255);
     put(this.header.flags, next(count), (n) => first + n, (a, b) => a ^ b);
-    for (const channel of this.header.channels) this.readValues(channel, first, count, hasParents, parents, next);
+    for (const channel of this.header.channels) this.readValues(channel, first, count, parents, next);
   }
 
   readMasks(level, reader, first, parents, isNode) {
@@ -169,19 +168,18 @@ export class Octree {
   }
 
   // Read a channel of a level: differences from the parent's value; of colours, red and blue minus green.
-  readValues(channel, first, count, hasParents, parents, next) {
+  readValues(channel, first, count, parents, next) {
     const [plane, slot] = channel.at, values = this.planes[plane], width = channel.components;
     const columns = Array.from({ length: width }, () => next(count));
     for (let n = 0; n < count; n++) {
       const at = 4 * (first + n) + slot, from = 4 * parents[n] + slot;
       if (width === 3) {
-        const [r, g, b] = hasParents ? [values[from], values[from + 1], values[from + 2]] : [0, 0, 0];
-        const green = (columns[1][n] + g) & 255;
+        const r = values[from], g = values[from + 1], b = values[from + 2], green = (columns[1][n] + g) & 255;
         values[at] = (columns[0][n] + r - g + green) & 255;
         values[at + 1] = green;
         values[at + 2] = (columns[2][n] + b - g + green) & 255;
       } else {
-        for (let k = 0; k < width; k++) values[at + k] = (columns[k][n] + (hasParents ? values[from + k] : 0)) & 255;
+        for (let k = 0; k < width; k++) values[at + k] = (columns[k][n] + values[from + k]) & 255;
       }
     }
   }
@@ -227,27 +225,32 @@ export class Octree {
     return this.leafCounts(level).reduce((sum, leaves) => sum + leaves, 0);
   }
 
-  // Write x, y, z, level and number of the cells of a level, and of the leaves above it, into `cells`. Yields the count
-  // from time to time.
-  *cubes(level, cells) {
-    let count = 0, positions = new Uint32Array(3); // of the nodes one level up
-    const put = (...cell) => cells.set(cell, 5 * count++);
-    if (level === 0 || this.nodes.at(-1) === 0) put(0, 0, 0, 0, 0);
-    for (let depth = 1, node = 0; depth <= level; depth++) {
+  // The x, y, z, level and number of the cells of a level, and of the leaves above it.
+  cubes(level) {
+    const cells = new Uint32Array(5 * this.cubeCount(level));
+    let positions = new Uint32Array(3); // of the nodes one level up; where the root is a leaf, all numbers stay 0
+    for (let depth = 1, node = 0, end = 0; depth <= level; depth++) {
       const next = new Uint32Array(3 * (this.nodes[depth + 1] - this.nodes[depth]));
       for (let n = 0, at = 0; n < positions.length && node < this.nodes.at(-1); n += 3, node++) {
         const nodes = this.words[2 * node], all = (nodes | this.words[2 * node + 1]) & 255;
         for (let octant = 0, number = nodes >>> 8; octant < 8; octant++) {
           if (!((all >> octant) & 1)) continue;
-          const position = [0, 1, 2].map((axis) => 2 * positions[n + axis] + ((octant >> axis) & 1));
-          if ((nodes >> octant) & 1) next.set(position, 3 * at++);
-          if (depth === level || !((nodes >> octant) & 1)) put(...position, depth, number);
+          const isNode = (nodes >> octant) & 1;
+          const isCube = depth === level || !isNode;
+          for (let axis = 0; axis < 3; axis++) {
+            const position = 2 * positions[n + axis] + ((octant >> axis) & 1);
+            if (isNode) next[at++] = position;
+            if (isCube) cells[end++] = position;
+          }
+          if (isCube) {
+            cells[end++] = depth;
+            cells[end++] = number;
+          }
           number++;
         }
-        if (node % CUBE_NODES === 0) yield count;
       }
       positions = next;
     }
-    yield count;
+    return cells;
   }
 }

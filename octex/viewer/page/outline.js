@@ -2,17 +2,17 @@
 // and a needle along the normal.
 
 import { dot } from "./camera.js";
-import { make, makeSvg } from "./elements.js";
+import { make } from "./elements.js";
 
 const ANGLES = 64; // as in outline.frag
 
 export class Outline {
   constructor(viewer) {
     this.viewer = viewer;
-    this.paths = [makeSvg("path"), makeSvg("path")];
+    this.paths = [make("path"), make("path")];
     this.needle = make("i");
     this.note = make("b");
-    this.ring = make("div", { id: "ring", hidden: true }, makeSvg("svg", {}, ...this.paths), this.needle, this.note);
+    this.ring = make("div", { id: "ring", hidden: true }, make("svg", {}, ...this.paths), this.needle, this.note);
     this.string = make("div", { id: "string", hidden: true });
   }
 
@@ -57,9 +57,10 @@ export class Outline {
     const target = gpu.target("outline", ANGLES, 1, [gl.RGBA32UI]), program = gpu.programs.use("outline", part, display, 0);
     const scale = gbuffer.height / canvas.clientHeight, [u_positions, u_directions] = gbuffer.textures;
     gpu.bind(program, { u_positions, u_directions });
-    gl.uniform3f(program.at("u_brush"), x * scale, gbuffer.height - y * scale, radius * scale);
-    gl.uniform1f(program.at("u_half"), (radius * Math.tan(camera.fov / 2) * depth) / canvas.clientHeight / part.header.size);
-    gl.uniform2f(program.at("u_limits"), Math.cos((angle * Math.PI) / 180), backFaces ? 1 : 0);
+    program.set({
+      u_brush: [x * scale, gbuffer.height - y * scale, radius * scale], u_limits: [Math.cos((angle * Math.PI) / 180), backFaces],
+      u_half: (radius * Math.tan(camera.fov / 2) * depth) / canvas.clientHeight / part.header.size,
+    });
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.viewport(0, 0, ANGLES, 1);
     gl.drawArrays(gl.TRIANGLES, 0, 3);

@@ -1,6 +1,6 @@
 // Icons, and controls with labels.
 
-import { make, makeSvg } from "./elements.js";
+import { make } from "./elements.js";
 
 // Paths of icons, 24 × 24.
 const ICONS = {
@@ -33,7 +33,7 @@ const ICONS = {
 // Blend modes of paint and layers, with their names.
 export const BLENDS = [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]];
 
-export const icon = (name) => makeSvg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, makeSvg("path", { d: ICONS[name] }));
+export const icon = (name) => make("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, make("path", { d: ICONS[name] }));
 
 // A button with an icon; the title is also its name for screen readers.
 export const iconButton = (id, name, title, onclick) => make("button", { type: "button", id, title, "aria-label": title, onclick }, icon(name));

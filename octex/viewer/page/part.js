@@ -3,7 +3,6 @@
 import { GROWTH, Octree, ROW } from "./octree.js";
 import { applyChange } from "./change.js";
 
-const CUBES_TIME = 20; // milliseconds in each frame to make cubes of cells
 const CUBE_BYTES = 20;
 
 export class Part {
@@ -215,39 +214,22 @@ export class Part {
     return texture;
   }
 
-  // Make instances of cubes of the cells of a level. Each call makes more of them, until `isComplete`.
+  // Instances of cubes of the cells of a level.
   cubesAt(wanted) {
     const { gl, octree } = this, level = Math.min(wanted, octree.depth, this.deepest);
-    if (this.cubes?.level !== level || this.cubes.depth !== octree.depth) this.beginCubes(level);
-    const { cubes } = this, end = performance.now() + CUBES_TIME;
-    if (cubes.isComplete) return cubes;
-    const before = cubes.count;
-    while (!cubes.isComplete && performance.now() < end) {
-      const { value, done } = cubes.counts.next();
-      cubes.isComplete = done;
-      cubes.count = value ?? cubes.count;
-    }
-    gl.bindBuffer(gl.ARRAY_BUFFER, cubes.buffer);
-    gl.bufferSubData(gl.ARRAY_BUFFER, CUBE_BYTES * before, cubes.cells.subarray(5 * before, 5 * cubes.count));
-    if (cubes.isComplete) cubes.cells = null;
-    return cubes;
-  }
-
-  beginCubes(level) {
-    const { gl, octree } = this;
+    if (this.cubes?.level === level && this.cubes.depth === octree.depth) return this.cubes;
     this.freeCubes();
-    const cells = new Uint32Array(5 * octree.cubeCount(level)), array = gl.createVertexArray(), buffer = gl.createBuffer();
+    const cells = octree.cubes(level), array = gl.createVertexArray(), buffer = gl.createBuffer();
     gl.bindVertexArray(array);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
-    gl.bufferData(gl.ARRAY_BUFFER, cells.byteLength, gl.STATIC_DRAW);
+    gl.bufferData(gl.ARRAY_BUFFER, cells, gl.STATIC_DRAW);
     for (const [location, components, offset] of [[0, 4, 0], [1, 1, 16]]) {
       gl.enableVertexAttribArray(location);
       gl.vertexAttribIPointer(location, components, gl.UNSIGNED_INT, CUBE_BYTES, offset);
       gl.vertexAttribDivisor(location, 1);
     }
     gl.bindVertexArray(null);
-    const counts = octree.cubes(level, cells);
-    this.cubes = { level, depth: octree.depth, array, buffer, cells, counts, count: 0, isComplete: false };
+    return (this.cubes = { level, depth: octree.depth, array, buffer, count: cells.length / 5 });
   }
 
   freeCubes() {

@@ -21,6 +21,11 @@ const STAGES = {
   outline: ["screen.vert", ["directions.glsl", "outline.frag"]],
 };
 
+// The functions gl.uniform…v that set uniforms, by GLSL types; samplers are numbers of texture units.
+const SETTERS = {
+  FLOAT: "1f", FLOAT_VEC2: "2f", FLOAT_VEC3: "3f", FLOAT_VEC4: "4f", INT_VEC2: "2i", INT_VEC3: "3i", UNSIGNED_INT: "1ui", UNSIGNED_INT_VEC3: "3ui",
+};
+
 const LOOKUPS = ["layers", "surface", "probe", "cubes"]; // programs that look the octree up; others are the same in all display modes
 
 export const readViewerShaders = () => readShaders(FILES);
@@ -65,8 +70,19 @@ export class Programs {
     }
     gl.linkProgram(handle);
     check(gl.getProgramParameter(handle, gl.LINK_STATUS), gl.getProgramInfoLog(handle));
-    const locations = {};
-    return { handle, at: (name) => (locations[name] ??= gl.getUniformLocation(handle, name)) };
+    const setters = this.setters(handle);
+    return { handle, set: (values) => Object.entries(values).forEach(([name, value]) => setters[name]?.(value)) };
+  }
+
+  // Functions that set the uniforms of a program, by name: each takes a number or a boolean, a matrix, or any nested numbers.
+  setters(handle) {
+    const { gl } = this, kinds = Object.fromEntries(Object.entries(SETTERS).map(([type, kind]) => [gl[type], kind])), setters = {};
+    for (let n = 0; n < gl.getProgramParameter(handle, gl.ACTIVE_UNIFORMS); n++) {
+      const { name, type } = gl.getActiveUniform(handle, n), at = gl.getUniformLocation(handle, name), set = `uniform${kinds[type] ?? "1i"}v`;
+      const isMatrix = type === gl.FLOAT_MAT4;
+      setters[name.replace("[0]", "")] = (value) => (isMatrix ? gl.uniformMatrix4fv(at, false, value) : gl[set](at, [value].flat(Infinity)));
+    }
+    return setters;
   }
 
   // Define the display mode, and how to read the channels in the first planes.

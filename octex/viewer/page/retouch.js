@@ -92,11 +92,7 @@ export class BrushImage {
     const clipped = clippedBox(box, colors.size);
     if (!clipped) return;
     gpu.bind(program, { u_from: from.textures[0], u_before: before.textures[0], u_positions: colors.gbuffer.textures[0], u_paint: paint ?? from.textures[0] });
-    gl.uniform1i(program.at("u_action"), action);
-    gl.uniform2i(program.at("u_step"), ...step);
-    gl.uniform1f(program.at("u_sigma"), sigma);
-    gl.uniform1f(program.at("u_share"), share);
-    gl.uniform4f(program.at("u_disc"), ...disc);
+    program.set({ u_action: action, u_step: step, u_sigma: sigma, u_share: share, u_disc: disc });
     gpu.drawInBox(to, clipped, () => gl.drawArrays(gl.TRIANGLES, 0, 3));
   }
 }

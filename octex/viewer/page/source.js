@@ -35,10 +35,10 @@ export class Source {
   // Draw all materials with the program in use.
   draw(gl, program) {
     gl.activeTexture(gl.TEXTURE0 + IMAGE_UNIT);
-    gl.uniform1i(program.at("u_image"), IMAGE_UNIT);
+    program.set({ u_image: IMAGE_UNIT });
     this.header.parts.forEach(({ first, count, factor }, n) => {
       gl.bindTexture(gl.TEXTURE_2D, this.textures[n]);
-      gl.uniform3fv(program.at("u_factor"), factor);
+      program.set({ u_factor: factor });
       gl.drawElements(gl.TRIANGLES, 3 * count, gl.UNSIGNED_INT, 12 * first);
     });
     gl.activeTexture(gl.TEXTURE0);

@@ -142,10 +142,8 @@ export class Strokes {
     const program = gpu.programs.use("stroke", viewer.parts[0], viewer.display, 0);
     gl.enable(gl.BLEND);
     gl.blendEquation(gl.MAX);
-    gl.uniform4f(program.at("u_line"), from[0], from[1], to[0], to[1]);
-    gl.uniform2f(program.at("u_radii"), from[2], to[2]);
-    gl.uniform2f(program.at("u_strengths"), from[3], to[3]);
-    gl.uniform1f(program.at("u_hardness"), current.hardness);
+    const [u_radii, u_strengths] = [2, 3].map((k) => [from[k], to[k]]);
+    program.set({ u_line: [from.slice(0, 2), to.slice(0, 2)], u_radii, u_strengths, u_hardness: current.hardness });
     gpu.drawInBox(target, box, () => gl.drawArrays(gl.TRIANGLES, 0, 3));
     gl.disable(gl.BLEND);
     return box;
@@ -266,28 +264,18 @@ export class Strokes {
     const stroke = previewed(current ?? sent.at(-1)), { opacity = 0, angle = DEFAULT_ANGLE, backFaces = false, hidden = false, blend = "over", image } = stroke;
     const blends = current && !current.image ? this.blendOf(previewed(current)) : new Map(), anyAngle = angle >= 90;
     viewer.gpu.bind(program, { u_strokes: this.composed }, SENT_UNIT, gl.TEXTURE_2D_ARRAY);
-    gl.uniform1iv(program.at("u_strokesAt[0]"), Array.from({ length: planes }, (_, n) => 2 * this.planes.indexOf(n)));
-    ["u_cover", "u_added"].forEach((name, which) => {
-      const all = Array.from({ length: planes }, (_, n) => [...(blends.get(n)?.[which] ?? NO_PAINT)]);
-      gl.uniform4fv(program.at(`${name}[0]`), all.flat());
-    });
-    gl.uniform1i(program.at("u_imagePlane"), current && image ? this.colorPlane : -1);
-    const [[covers, adds], [light, more]] = [0, 1].map(BLENDS[blend]);
-    gl.uniform3f(program.at("u_blend"), covers, light - covers, more - adds);
-    gl.uniform1f(program.at("u_opacity"), isSameView && current ? opacity : 0);
-    gl.uniform2f(program.at("u_image"), width, height);
-    gl.uniform3f(program.at("u_angles"), anyAngle ? -1 : cosine(Math.max(angle - FADE, 0)), anyAngle ? -2 : cosine(angle), backFaces ? 1 : 0);
-    const canReproject = !viewer.display.moment && !this.isPosed && !viewer.parts[0].header.mesh?.posed;
-    gl.uniform1i(program.at("u_strokesView"), !sent.length ? 0 : isSameView ? 1 : canReproject ? 2 : 0);
-    gl.uniformMatrix4fv(program.at("u_strokesCamera"), false, this.camera);
-    gl.uniform3fv(program.at("u_strokesEye"), this.eye);
-    gl.uniform1i(program.at("u_hidden"), hidden ? 1 : 0);
-    const isMirrored = (each) => mirror.isOf(each, this.viewKey);
+    const isMirrored = (each) => mirror.isOf(each, this.viewKey), [[covers, adds], [light, more]] = [0, 1].map(BLENDS[blend]);
     const areMirrored = sent.length > 0 && sent.every(isMirrored), currentIsMirrored = isSameView && current !== null && isMirrored(current);
-    gl.uniform2f(program.at("u_mirrored"), areMirrored ? 1 : 0, currentIsMirrored ? opacity : 0);
-    gl.uniform2i(program.at("u_parts"), stroke.part ?? -1, stroke.mirroredPart ?? -1);
-    if (!areMirrored && !currentIsMirrored) return;
-    gl.uniformMatrix4fv(program.at("u_mirrorCamera"), false, mirror.camera);
-    gl.uniform3fv(program.at("u_mirrorEye"), mirror.eye);
+    const canReproject = !viewer.display.moment && !this.isPosed && !viewer.parts[0].header.mesh?.posed;
+    const ofPlanes = (which) => Array.from({ length: planes }, (_, n) => [...(blends.get(n)?.[which] ?? NO_PAINT)]);
+    program.set({
+      u_strokesAt: Array.from({ length: planes }, (_, n) => 2 * this.planes.indexOf(n)), u_cover: ofPlanes(0), u_added: ofPlanes(1),
+      u_imagePlane: current && image ? this.colorPlane : -1, u_blend: [covers, light - covers, more - adds],
+      u_opacity: isSameView && current ? opacity : 0, u_image: [width, height], u_hidden: hidden,
+      u_angles: [anyAngle ? -1 : cosine(Math.max(angle - FADE, 0)), anyAngle ? -2 : cosine(angle), backFaces],
+      u_strokesView: !sent.length ? 0 : isSameView ? 1 : canReproject ? 2 : 0, u_strokesCamera: this.camera, u_strokesEye: this.eye,
+      u_mirrored: [areMirrored, currentIsMirrored ? opacity : 0], u_parts: [stroke.part ?? -1, stroke.mirroredPart ?? -1],
+    });
+    if (areMirrored || currentIsMirrored) program.set({ u_mirrorCamera: mirror.camera, u_mirrorEye: mirror.eye });
   }
 }

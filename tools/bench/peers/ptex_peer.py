@@ -6,8 +6,7 @@ usage: ptex_peer.py SOURCE [FILE.ptx|FOLDER...] [--build FOLDER] [--random N] [-
 SOURCE is a checkout of github.com/wdas/ptex, or a bare clone of it; it is built with ptex_peer.cpp into
 FOLDER by a C++ compiler, with zlib's headers. Each file is read by both, and so are N random contents,
 written by both; of what octex writes the library must read the texels, neighbours and metadata that were
-given, and its reductions may differ from octex's by rounding alone. --slides writes 212,064 faces of
-4² texels with noise, by both, and says their sizes and times. Exit code 1 if anything differs.
+given, and its reductions may differ from octex's by rounding alone. Exit code 1 if anything differs.
 """
 
 from __future__ import annotations

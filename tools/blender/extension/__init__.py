@@ -5,16 +5,14 @@ import bpy
 
 from . import jobs, operators, panel, settings, watching
 
-_PARTS = (settings, jobs, operators, panel, watching)
-
 
 def register() -> None:
-    for part in _PARTS:
+    for part in (settings, operators, panel):
         part.register()
 
 
 def unregister() -> None:
-    for part in reversed(_PARTS):
+    for part in (watching, panel, operators, jobs, settings):
         part.unregister()
 
 

@@ -9,13 +9,11 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-
-from .handover import Read
 
 _WORK = Path(__file__).with_name("work.py")
 #: Seconds between looks at a job that a script waits for.
@@ -31,6 +29,14 @@ class JobError(Exception):
     """octex refuses a job; says why."""
 
 
+class Read(NamedTuple):
+    """Values that only the window's thread can read, into memory which another thread has touched."""
+
+    count: int
+    dtype: type
+    into: Callable[[np.ndarray], None]
+
+
 def environment() -> dict[str, str]:
     """Return the environment in which a process finds the packages that Blender's Python does."""
     return {**os.environ, "PYTHONPATH": os.pathsep.join(each for each in sys.path if each)}
@@ -44,36 +50,26 @@ class Job:
         self.folder = Path(self._folder.name)
         self.stage, self.share = "", 0.0
         self.warnings: list[str] = []
-        self._task, self._job = task, job
-        self._reads: dict[str, Read] = {}
-        self._calls: list[tuple[list[str], dict[str, str] | None]] = []
+        self._task, self.fields = task, job
+        self.reads: dict[str, Read] = {}  # by files of the folder: values that `poll` reads
+        self.calls: list[tuple[list[str], dict[str, str] | None]] = []  # commands with their variables
         self._process: subprocess.Popen | None = None
         self._is_closed = False
         self._lines: queue.SimpleQueue = queue.SimpleQueue()
         self._turns: queue.SimpleQueue = queue.SimpleQueue()  # values were read, or the job is closed
         self._answer: dict[str, Any] | None = None
 
-    def given(self, **job: Any) -> "Job":
-        """Return this job with more fields."""
-        self._job.update(job)
-        return self
-
-    def after(self, call: list[str]) -> "Job":
-        """Return this job to be done after a command."""
-        self._calls.append((call, None))
-        return self
-
     def reading(self, reads: Mapping[str, Read]) -> "Job":
-        """Return this job with values that `poll` reads, to be stored before in files of its folder."""
-        self._reads |= reads
+        """Return this job with more values to be read."""
+        self.reads |= reads
         return self
 
     def start(self) -> None:
         """Begin, in a thread that waits for the processes."""
-        job = {"task": self._task, "folder": str(self.folder), **self._job}
+        job = {"task": self._task, "folder": str(self.folder), **self.fields}
         (self.folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
         if self._task:
-            self._calls.append(([sys.executable, str(_WORK), str(self.folder / "job.json")], environment()))
+            self.calls.append(([sys.executable, str(_WORK), str(self.folder / "job.json")], environment()))
         else:
             self._answer = {}
         thread = threading.Thread(target=self._run, daemon=True)
@@ -83,10 +79,10 @@ class Job:
     def _run(self) -> None:
         errors: list[str] = []
         try:
-            for name, read in self._reads.items():
+            for name, read in self.reads.items():
                 if not self._is_closed:
                     self._store(name, read)
-            for call, variables in self._calls:
+            for call, variables in self.calls:
                 if not errors and not self._is_closed:
                     errors = self._called(call, variables)
         except (OSError, MemoryError) as error:
@@ -108,22 +104,20 @@ class Job:
 
     def _called(self, call: list[str], variables: dict[str, str] | None) -> list[str]:
         """Run a command, pass what it says on, and return its complaints if it fails."""
-        self._process = process = subprocess.Popen(
-            call, env=variables, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True, encoding="utf-8", errors="replace",
-        )  # fmt: skip
-        if self._is_closed:
-            process.terminate()
-        errors: list[str] = []
-        drain = threading.Thread(target=lambda: errors.append(process.stderr.read()), daemon=True)
-        drain.start()
-        for line in process.stdout:
-            if line.startswith("{"):  # others are Blender's
-                self._lines.put(line)
-        drain.join()
-        return (
-            ("".join(errors).strip().splitlines() or ["it ended without an answer"]) if process.wait() else []
-        )
+        with (self.folder / "errors.txt").open("w+", encoding="utf-8", errors="replace") as errors:
+            self._process = process = subprocess.Popen(
+                call, env=variables, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=errors,
+                text=True, encoding="utf-8", errors="replace",
+            )  # fmt: skip
+            if self._is_closed:
+                process.terminate()
+            for line in process.stdout:
+                if line.startswith("{"):  # others are Blender's
+                    self._lines.put(line)
+            if not process.wait():
+                return []
+            errors.seek(0)
+            return errors.read().strip().splitlines() or ["it ended without an answer"]
 
     def poll(self) -> dict[str, Any] | None:
         """Take what has arrived, read what the job waits for, and return the answer once there is one.
@@ -168,10 +162,6 @@ class Job:
         self._turns.put(None)
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
-
-
-def register() -> None:
-    """No job runs at first."""
 
 
 def unregister() -> None:

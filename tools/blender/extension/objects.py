@@ -135,21 +135,30 @@ def write_model(context: bpy.types.Context, chosen: bpy.types.Object, path: Path
 def _alone(chosen: bpy.types.Object, shown: bool) -> Iterator[bpy.types.Scene]:
     """Lend a scene with a copy of an object, bare of transforms and modifiers."""
     scene = bpy.data.scenes.new("octex")
+    try:
+        with bare_copy(chosen) as copy:
+            copy.matrix_world = Matrix()
+            for slot in copy.material_slots:
+                if not shown and slot.material is not None and MARK in slot.material:
+                    slot.link = "DATA"  # what the texture is made of, not how it is shown
+            scene.collection.objects.link(copy)
+            yield scene
+    finally:
+        bpy.data.scenes.remove(scene)
+
+
+@contextmanager
+def bare_copy(chosen: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    """Lend a copy of an object that nothing moves or deforms."""
     copy = chosen.copy()
     try:
         copy.animation_data_clear()
         copy.parent = None
         copy.constraints.clear()
         copy.modifiers.clear()
-        copy.matrix_world = ((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1))
-        for slot in copy.material_slots:
-            if not shown and slot.material is not None and MARK in slot.material:
-                slot.link = "DATA"  # what the texture is made of, not how it is shown
-        scene.collection.objects.link(copy)
-        yield scene
+        yield copy
     finally:
         bpy.data.objects.remove(copy)
-        bpy.data.scenes.remove(scene)
 
 
 def image_nodes(
@@ -273,12 +282,7 @@ def set_colors(chosen: bpy.types.Object, colors: np.ndarray) -> None:
     """Store colours (corners, 4), linear light, as the colour attribute that is shown and drawn."""
     _check_same(chosen, len(chosen.data.loops), len(colors))
     attributes = chosen.data.color_attributes
-    attribute = attributes.get(NAME)
-    if attribute is not None and (attribute.domain, attribute.data_type) != ("CORNER", "FLOAT_COLOR"):
-        attributes.remove(attribute)
-        attribute = None
-    if attribute is None:
-        attribute = attributes.new(NAME, "FLOAT_COLOR", "CORNER")  # bytes take 40 times as long
+    attribute = _attribute(attributes, NAME, "FLOAT_COLOR", "CORNER")  # bytes take 40 times as long
     attribute.data.foreach_set("color", np.ascontiguousarray(colors, np.float32).reshape(-1))
     attributes.active_color = attribute
     attributes.render_color_index = attributes.active_color_index
@@ -304,14 +308,20 @@ def set_uv(chosen: bpy.types.Object, values: np.ndarray) -> None:
 
 def set_vectors(chosen: bpy.types.Object, name: str, domain: str, values: np.ndarray) -> None:
     """Store vectors (n, 3) of vertices or corners as an attribute; raises ObjectError."""
-    attributes = chosen.data.attributes
-    stored = attributes.get(name)
-    if stored is not None and (stored.domain, stored.data_type) != (domain, "FLOAT_VECTOR"):
-        attributes.remove(stored)
-        stored = None
-    stored = stored or attributes.new(name, "FLOAT_VECTOR", domain)
+    stored = _attribute(chosen.data.attributes, name, "FLOAT_VECTOR", domain)
     _check_same(chosen, len(stored.data), len(values))
     stored.data.foreach_set("vector", values.reshape(-1))
+
+
+def _attribute(
+    attributes: bpy.types.bpy_prop_collection, name: str, kind: str, domain: str
+) -> bpy.types.Attribute:
+    """Return an attribute of this kind, in the place of another one of its name."""
+    stored = attributes.get(name)
+    if stored is not None and (stored.domain, stored.data_type) != (domain, kind):
+        attributes.remove(stored)
+        stored = None
+    return stored or attributes.new(name, kind, domain)
 
 
 def show(chosen: bpy.types.Object, baked: Sequence[dict[str, Any]] = ()) -> None:

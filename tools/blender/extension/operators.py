@@ -121,21 +121,14 @@ class OCTEX_OT_make(Working, bpy.types.Operator):
     bl_label = "Make Octree Texture"
 
     def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
-        output = objects.texture_path(chosen, exists=False)
-        settings = chosen.octex
+        output, settings = objects.texture_path(chosen, exists=False), chosen.octex
+        is_grey = settings.origin == "GREY"
         for name in objects.making_modifiers(chosen):
             self.report({"WARNING"}, f"{name} makes geometry that the texture does not know; apply it first")
-        given = {
-            "name": chosen.name,
-            "depth": settings.depth,
-            "origin": settings.origin,
-            "output": str(output),
-        }
-        if settings.origin == "GREY":
-            return job_of("make", chosen, **given)
-        for complaint in objects.check_images(chosen):
+        for complaint in () if is_grey else objects.check_images(chosen):
             self.report({"WARNING"}, complaint)
-        return job_of("make", chosen, "model", **given)
+        given = {"depth": settings.depth, "origin": settings.origin, "output": str(output)}
+        return job_of("make", chosen, "arrays" if is_grey else "model", **given)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         channels = ", ".join(answer["channels"])
@@ -168,15 +161,13 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
 
     def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         objects.check_editable(chosen)
-        settings, texture = chosen.octex, objects.texture_path(chosen)
-        given = {"name": chosen.name, "texture": str(texture), "output": str(texture)}
-        given["texture_size"] = settings.texture_size
-        given["layout"] = settings.layout
-        given["shown"], pixels = handover.baked_images(chosen)
+        settings, texture = chosen.octex, str(objects.texture_path(chosen))
+        shown, pixels = handover.baked_images(chosen)
         if settings.layout == "KEEP" and not chosen.data.uv_layers:
             raise objects.ObjectError(f"{chosen.name} has no UV map; choose new UVs")
         form = "arrays" if settings.layout == "ATLAS" else "without images"
-        return job_of("images", chosen, form, **given).reading(pixels)
+        given = {"texture_size": settings.texture_size, "layout": settings.layout, "shown": shown}
+        return job_of("images", chosen, form, texture=texture, output=texture, **given).reading(pixels)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         chosen = self.chosen()
@@ -199,9 +190,7 @@ class OCTEX_OT_exact(Working, bpy.types.Operator):
         exact.check_osl(context)
         objects.check_editable(chosen)
         texture = objects.texture_path(chosen)
-        return job_of(
-            "exact", chosen, name=chosen.name, texture=str(texture), output=str(texture.with_suffix(".osl"))
-        )
+        return job_of("exact", chosen, texture=str(texture), output=str(texture.with_suffix(".osl")))
 
     def finish(self, context: bpy.types.Context, answer: dict[str, Any]) -> str:
         chosen, rest = self.chosen(), None
@@ -224,8 +213,8 @@ class OCTEX_OT_photographs(Working, bpy.types.Operator):
         cameras = bpy.path.abspath(chosen.octex.cameras) if chosen.octex.cameras else ""
         images, reads = handover.photographs(context, not cameras)
         return job_of(
-            "photographs", chosen, name=chosen.name, depth=chosen.octex.depth, output=str(output),
-            texture=str(output) if output.exists() else "", posed=objects.posed_positions(context, chosen),
+            "photographs", chosen, posed=objects.posed_positions(context, chosen),
+            depth=chosen.octex.depth, output=str(output), texture=str(output) if output.exists() else "",
             photographs=images, cameras=cameras,
             mirrored=chosen.matrix_world.determinant() < 0,  # its front then faces inwards
         ).reading(reads)  # fmt: skip
@@ -253,10 +242,8 @@ class OCTEX_OT_view(Working, bpy.types.Operator):
         lens = objects.lens_and_pose(camera)
         if not camera.users_scene:  # the scene gets it when the job is done
             bpy.data.cameras.remove(camera.data)
-        return job_of(
-            "view", chosen, name=chosen.name, texture=str(texture), output=str(output),
-            size=size, camera=lens, posed=objects.posed_positions(context, chosen),
-        )  # fmt: skip
+        given = {"texture": str(texture), "output": str(output), "size": size, "camera": lens}
+        return job_of("view", chosen, posed=objects.posed_positions(context, chosen), **given)
 
     def finish(self, context: bpy.types.Context, answer: dict[str, Any]) -> str:
         output = Path(answer["output"])
@@ -282,7 +269,7 @@ class OCTEX_OT_strokes(Working, bpy.types.Operator):
         if not images:
             raise objects.ObjectError(f"{chosen.name} shows no baked images: bake to images first")
         objects.check_images(chosen, shown=True)
-        return job_of("strokes", chosen, "shown", name=chosen.name, texture=str(texture), images=images)
+        return job_of("strokes", chosen, "shown", texture=str(texture), images=images)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         return f"{objects.texture_path(self.chosen()).name} has {answer['texels']:,} painted texels"
@@ -316,19 +303,18 @@ def job_of(
     task: str, chosen: bpy.types.Object, form: str = "arrays", posed: np.ndarray | None = None, **given: Any
 ) -> Job:
     """Return a job that begins with an object in a form, and where its vertices are seen: see `hand_over`."""
-    job = Job(task, **given)
-    call, reads = handover.hand_over(chosen, job.folder, form)
+    job = Job(task, name=chosen.name, **given)
+    handover.hand_over(chosen, job, form)
     if posed is not None:
         np.save(job.folder / "posed.npy", posed)
-        job.given(matrix=[list(row) for row in chosen.matrix_world])
-    return job.after(call).reading(reads)
+        job.fields["matrix"] = [list(row) for row in chosen.matrix_world]
+    return job
 
 
 def colors_job(chosen: bpy.types.Object) -> Job:
     """Return the job that looks up an object's colours; raises ObjectError."""
     objects.check_editable(chosen)
-    texture = objects.texture_path(chosen)
-    return job_of("colors", chosen, name=chosen.name, texture=str(texture))
+    return job_of("colors", chosen, texture=str(objects.texture_path(chosen)))
 
 
 def take_colors(chosen: bpy.types.Object, job: Job) -> None:
@@ -336,26 +322,11 @@ def take_colors(chosen: bpy.types.Object, job: Job) -> None:
     objects.set_colors(chosen, job.array("colors"))
 
 
-_CLASSES = (
-    OCTEX_OT_make,
-    OCTEX_OT_colors,
-    OCTEX_OT_images,
-    OCTEX_OT_exact,
-    OCTEX_OT_photographs,
-    OCTEX_OT_view,
-    OCTEX_OT_strokes,
-    OCTEX_OT_paint,
-)
-
-
-def register() -> None:
-    for each in _CLASSES:
-        bpy.utils.register_class(each)
+register, _unregister = bpy.utils.register_classes_factory([*Working.__subclasses__(), OCTEX_OT_paint])
 
 
 def unregister() -> None:
     if Working.running is not None:
         Working.running.job.close()
         Working.running = None
-    for each in reversed(_CLASSES):
-        bpy.utils.unregister_class(each)
+    _unregister()

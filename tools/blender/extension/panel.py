@@ -48,9 +48,4 @@ class OCTEX_PT_main(bpy.types.Panel):
         layout.operator("octex.exact", icon="NODE_MATERIAL")
 
 
-def register() -> None:
-    bpy.utils.register_class(OCTEX_PT_main)
-
-
-def unregister() -> None:
-    bpy.utils.unregister_class(OCTEX_PT_main)
+register, unregister = bpy.utils.register_classes_factory([OCTEX_PT_main])

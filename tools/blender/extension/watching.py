@@ -50,8 +50,8 @@ def paint(chosen: bpy.types.Object) -> Path:
     except objects.ObjectError:  # the page then shows no source
         form = "without images"
     export = Job()
-    call, pixels = handover.hand_over(chosen, export.folder, form)
-    export.after(call).reading(pixels).start()
+    handover.hand_over(chosen, export, form)
+    export.start()
     layers = texture.with_suffix(".layers.octex")
     command = ["view", layers if layers.exists() else texture, export.folder / "model.glb"]
     command += ["--paint", output, "--quiet"]
@@ -159,10 +159,6 @@ def _ended(each: _Painted) -> None:
     if each.job is not None:
         each.job.close()
     each.export.close()
-
-
-def register() -> None:
-    """Nothing is painted at first."""
 
 
 def unregister() -> None:

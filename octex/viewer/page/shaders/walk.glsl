@@ -53,33 +53,22 @@ struct Block {
 float g_total = 0.0, g_cover = 0.0, g_alpha = 0.0;
 bool g_ignoresAlpha = false;
 
-// The terms of one cell in the sums, for a weight of 1.
-float r_total, r_cover, r_alpha;
-vec4 r_sum{N};
-
-void add(float weight) {
-  g_total += weight * r_total;
-  g_cover += weight * r_cover;
-  g_alpha += weight * r_alpha;
-  g_sum{N} += weight * r_sum{N};
-}
-
 ivec2 texelOf(uint row) {
   return ivec2(uvec2(row & ROW, row >> 12u));
 }
 
-// Add a row of the planes to a cell's terms.
-void readRow(uint row, float weight) {
+// Add a row of the planes to the sums.
+void addRow(uint row, float weight) {
   ivec2 at = texelOf(row);
   vec4 value{N} = PLANE{N}(at);
   g_fetches += PLANES;
-  r_cover += weight;
+  g_cover += weight;
 #ifdef ALPHA
-  r_alpha += weight * ALPHA;
+  g_alpha += weight * ALPHA;
   if (!g_ignoresAlpha) weight *= ALPHA;
 #endif
-  r_total += weight;
-  r_sum{N} += weight * value{N};
+  g_total += weight;
+  g_sum{N} += weight * value{N};
 }
 
 // Count the set bits of eight. Software renderers take as long for a shift as for ten products.
@@ -132,8 +121,8 @@ bool isSplit(uint flags, vec3 seen) {
   return all(bvec3((flags & 128u) != 0u, max(seen.x, max(seen.y, seen.z)) > 0.0, u_split.y > 0u));
 }
 
-// Read the rows of a split cell for the facings on the normal's side; return whether the cell is split.
-bool readSides(uint cell, uint flags, vec3 seen, float weight) {
+// Add the rows of a split cell for the facings on the normal's side; return whether the cell is split.
+bool addSides(uint cell, uint flags, vec3 seen, float weight) {
   if (!isSplit(flags, seen)) return false;
   float most = max(seen.x, max(seen.y, seen.z));
   vec3 shares = max(seen - (most - 0.2), vec3(0.0)) * vec3(greaterThan(seen, vec3(0.0)));
@@ -141,7 +130,7 @@ bool readSides(uint cell, uint flags, vec3 seen, float weight) {
   uint entry = u_split.x + tableRow(cell, u_split.x, u_split.y);
   uint first = u_split.z + texelFetch(u_entries, texelOf(entry), 0).y;
   for (uint axis = 0u; axis < 3u; axis++) {
-    if (shares[axis] > 0.0) readRow(first + bitsOf(flags & (g_facings[axis] - 1u)), weight * shares[axis]);
+    if (shares[axis] > 0.0) addRow(first + bitsOf(flags & (g_facings[axis] - 1u)), weight * shares[axis]);
   }
   return true;
 }
@@ -153,45 +142,23 @@ float areaWeight(float area) {
   return exp2(min(code, 1.0) * (code - 207.0) / 16.0);
 }
 
-// Read a cell's terms, weighted by its area if `averages`.
-void read(uint cell, bool averages) {
-  r_total = r_cover = r_alpha = 0.0;
-  r_sum{N} = vec4(0.0);
-  ivec2 at = texelOf(cell);
-  float weight = areaWeight(float(averages) * PLANE0(at).a);
+// A cell's weight by its area, if `averages`.
+float averageWeight(uint cell, bool averages) {
+  return areaWeight(float(averages) * PLANE0(texelOf(cell)).a);
+}
+
+// Add a row of a cell, unless the cell is split: then its sides.
+void addCell(uint cell, uint row, float weight) {
 #ifdef FACING
-  uint flags = FLAGS_AT(at);
+  uint flags = FLAGS_AT(texelOf(cell));
   g_fetches++;
   vec3 seen = seenOf(flags);
   weight *= sideWeight(flags, seen);
 #ifdef SPLIT
-  if (readSides(cell, flags, seen, weight)) return;
+  if (addSides(cell, flags, seen, weight)) return;
 #endif
 #endif
-  readRow(cell, weight);
-}
-
-#ifdef KEPT
-// The coefficient that a node keeps.
-void readKept(uint cell) {
-  r_total = r_cover = r_alpha = 0.0;
-  r_sum{N} = vec4(0.0);
-  float weight = 1.0;
-#ifdef FACING
-  uint flags = FLAGS_AT(texelOf(cell));
-  vec3 seen = seenOf(flags);
-  weight = sideWeight(flags, seen);
-#ifdef SPLIT
-  if (readSides(cell, flags, seen, weight)) return;
-#endif
-#endif
-  readRow(u_kept.z + tableRow(cell, u_kept.x, u_kept.y), weight);
-}
-#endif
-
-void tap(uint cell, float weight, bool averages) {
-  read(cell, averages);
-  add(weight);
+  addRow(row, weight);
 }
 
 // Add a cell to the sums, unless it is split; return whether it is.
@@ -218,20 +185,6 @@ bool addWhole(uint cell, float weight, bool averages) {
   g_sum{N} += weight * value{N};
   return isLeft;
 }
-
-#ifdef SPLIT
-// Add the sides of a split cell.
-void addSides(uint cell, float weight, bool averages) {
-  r_total = r_cover = r_alpha = 0.0;
-  r_sum{N} = vec4(0.0);
-  ivec2 at = texelOf(cell);
-  uint flags = FLAGS_AT(at);
-  g_fetches += 2;
-  vec3 seen = seenOf(flags);
-  readSides(cell, flags, seen, weight * areaWeight(float(averages) * PLANE0(at).a) * sideWeight(flags, seen));
-  add(1.0);
-}
-#endif
 
 // A number for each of the 3×3×3 cells around a point: planes along z, with columns along y and rows along x.
 struct Cells {
@@ -369,7 +322,7 @@ void gather(Block block, Cells weights, float share, bool averages, uvec2 among)
     if (weight < least) nearest = cell;
     least = min(weight, least);
   }
-  if (least < FAR) tap(nearest, share, averages);
+  if (least < FAR) addCell(nearest, nearest, share * averageWeight(nearest, averages));
 #else
   uvec2 split = uvec2(0u);
   while ((taps.pending.x | taps.pending.y) != 0u) {
@@ -380,7 +333,7 @@ void gather(Block block, Cells weights, float share, bool averages, uvec2 among)
   taps.pending = split;
   while ((taps.pending.x | taps.pending.y) != 0u) {
     take(taps, cell, weight);
-    addSides(cell, weight * share, averages);
+    addCell(cell, cell, weight * share * averageWeight(cell, averages));
   }
 #endif
 #endif
@@ -660,8 +613,7 @@ void addMixedDepths(vec3 point, int last, float share, bool averages) {
     float weight;
     while ((taps.pending.x | taps.pending.y) != 0u) {
       take(taps, cell, weight);
-      readKept(cell);
-      add(weight * share);
+      addCell(cell, u_kept.z + tableRow(cell, u_kept.x, u_kept.y), weight * share);
     }
 #endif
 #ifdef LINEAR
@@ -687,7 +639,7 @@ void addSamples(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     bool averages = levels[n] < leaves;
 #ifdef NEAREST
     uvec3 cell = leafAt(point, levels[n]);
-    tap(cell.x, shares[n], averages && cell.z == 1u);
+    addCell(cell.x, cell.x, shares[n] * averageWeight(cell.x, averages && cell.z == 1u));
 #else
     addMixedDepths(point, levels[n], shares[n], averages);
 #endif
