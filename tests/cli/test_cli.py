@@ -179,11 +179,8 @@ def test_help_tells_the_default_that_holds():
             assert f"{text} (default)" in option.help or f"(default {text}" in option.help, option.word
 
 
-def test_sizes_have_a_comma_or_an_x():
+def test_sizes_have_a_comma_or_an_x_and_options_may_stand_twice_and_anywhere():
     assert {image_size(text) for text in ("640,480", "640x480", "640×480")} == {(640, 480)}
-
-
-def test_options_given_twice_may_stand_anywhere_and_files_may_begin_with_a_minus():
     options = parsed("--source", "alpha=1", "a", "--source", "roughness=0", "--json", "--", "-b")
     assert [name for name, _ in options.source] == ["alpha", "roughness"]
     assert (options.json, options.INPUT, options.OUTPUT) == (True, Path("a"), Path("-b"))
