@@ -182,6 +182,15 @@ def painted(surface):
     return octex.convert(surface.with_sources({"base_color": waves}), 6)
 
 
+def on_disk(folder):
+    """Write a cube and its texture; return the words of octex bake before its output."""
+    surface = cube_with_charts().with_sources({"base_color": waves})
+    octex.convert(surface, 4).save(folder / "cube.octex")
+    model = octex.bake(octex.open(folder / "cube.octex"), surface, texture_size=64)
+    octex.write_model(model, folder / "cube.obj")
+    return ["bake", folder / "cube.octex", folder / "cube.obj"]
+
+
 @pytest.mark.parametrize("ending", [".glb", ".obj"])
 def test_each_material_gets_maps_and_keeps_what_it_is(ending, tmp_path):
     surface = two_squares()
@@ -412,11 +421,7 @@ def test_texels_are_the_means_of_so_many_lookups(monkeypatch):
 
 
 def test_the_command_bakes(tmp_path, cli):
-    surface = cube_with_charts().with_sources({"base_color": waves})
-    octex.convert(surface, 4).save(tmp_path / "cube.octex")
-    model = octex.bake(octex.open(tmp_path / "cube.octex"), surface, texture_size=64)
-    octex.write_model(model, tmp_path / "cube.obj")
-    given = ["bake", tmp_path / "cube.octex", tmp_path / "cube.obj"]
+    given = on_disk(tmp_path)
 
     def made(output, *words):
         told = json.loads(cli.result(*given, tmp_path / output, *words, "--json", "--quiet"))
@@ -426,21 +431,13 @@ def test_the_command_bakes(tmp_path, cli):
     told = made("baked.glb", "--texture-size", 64)
     size = (tmp_path / "baked.glb").stat().st_size
     assert (told["texture_size"], told["channels"], told["bytes"]) == (64, ["base_color"], size)
+    assert "exists" in cli.refusal(*given, tmp_path / "baked.glb", "--quiet")
     simple = "--original", given[2], "--max-distance", 0.1, "--texture-size", 64
     assert made("simple.glb", *simple)["texture_size"] == 64
     assert made("b.obj", "--vertex-colors", "--vertex-error", 4)["vertices"] > 8
     assert made("b.ply", "--max-edge", "auto")["vertices"] > 8
     made("d.obj")
     assert (tmp_path / "d-0-base_color.png").exists()
-    for output, words, message in (
-        ("c.glb", "-q", "-q is not an option"),
-        ("c.glb", "--texture-size 1", "--texture-size must be a whole number from"),
-        ("c.obj", "--vertex-error 4", "--vertex-error is for vertex colours; add --vertex-colors"),
-        ("c.obj", "--vertex-colors --max-edge 0.5 --vertex-error 4", "--vertex-error needs --max-edge auto"),
-        ("c.ply", "--uv keep", "--uv cannot be used with vertex colours"),
-        ("baked.glb", "", "exists"),
-    ):
-        assert message in cli.refusal(*given, tmp_path / output, *words.split(), "--quiet")
 
 
 @pytest.mark.parametrize("bake", [octex.bake, octex.bake_vertices])

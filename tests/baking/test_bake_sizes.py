@@ -20,7 +20,7 @@ from octex.errors import ModelError
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
-from tests.baking.test_bake import cube_with_charts, psnr, scattered_triangles, two_squares
+from tests.baking.test_bake import cube_with_charts, on_disk, psnr, scattered_triangles, two_squares
 from tests.make.painted import square, waves
 from tests.make.small_surfaces import whole
 from tests.oracles.naive_gltf import Document
@@ -173,16 +173,13 @@ def test_channels_that_do_not_vary_are_numbers(plain, bits, tmp_path):
                 )
 
 
-def test_a_number_between_two_codes_needs_no_image():
+def test_a_number_between_two_codes_needs_no_image_but_occlusion_that_is_not_1_does():
     surface = cube_with_charts().with_sources({**VARIED, "roughness": 0.7})
     texture = octex.convert(surface, 4)
     assert np.ptp(texture.channels["roughness"].values) == 1  # cells are rounded either way
     given = inputs_of(octex.bake(texture, surface, texture_size=64))["roughness"]
     assert given.texture is None
     assert given.factor == pytest.approx((0.7,), abs=3e-3)
-
-
-def test_occlusion_that_is_not_1_stays_an_image():
     surface = cube_with_charts().with_sources({"base_color": waves, "occlusion": 0.5})
     given = inputs_of(octex.bake(octex.convert(surface, 4), surface, texture_size=64))["occlusion"]
     assert abs(given.texture.texels[..., 0] / 65535 - 0.5).max() < 0.01
@@ -253,11 +250,7 @@ def test_jpeg_is_for_colours_unless_all_is_asked_for(baked_whole, images, ending
 
 
 def test_large_images_are_told_and_smaller_formats_offered(tmp_path, cli, monkeypatch):
-    surface = cube_with_charts().with_sources({"base_color": waves})
-    octex.convert(surface, 4).save(tmp_path / "cube.octex")
-    model = octex.bake(octex.open(tmp_path / "cube.octex"), surface, texture_size=64)
-    octex.write_model(model, tmp_path / "cube.obj")
-    given = ["bake", tmp_path / "cube.octex", tmp_path / "cube.obj"]
+    given = on_disk(tmp_path)
 
     def told(output, *options):
         return cli.result(*given, tmp_path / output, "--texture-size", 256, *options)

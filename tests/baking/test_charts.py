@@ -137,16 +137,13 @@ def test_charts_with_borders_of_one_length_are_merged(seed):
     assert not _merged(pieces, charts.astype(np.int64)).any()
 
 
-def test_what_is_flat_is_one_chart_and_keeps_its_lengths():
+def test_what_is_flat_is_one_chart_that_keeps_its_lengths_and_a_box_has_one_for_each_face():
     across = np.linspace(0.0, 1.0, 9)
     points = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1).reshape(-1, 2)
     mesh = Mesh(np.column_stack([points, 0.3 * points[:, 0]]), halved_quads(9, 9))
     flat, charts, _ = laid_flat(mesh)
     assert charts.max() == 0
     np.testing.assert_allclose(stretched(mesh, flat), 1.0, atol=1e-9)
-
-
-def test_a_box_has_a_chart_for_each_face():
     box = trimesh.creation.box()
     mesh = Mesh(box.vertices, np.asarray(box.faces))
     assert laid_flat(mesh).charts.max() == 5

@@ -1,4 +1,4 @@
-"""Cameras: what they project, the rays through pixels, and fits."""
+"""Cameras and lenses: what they project, the rays through pixels, and fits."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,10 @@ from hypothesis import strategies as st
 
 from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
+from octex.view.visibility import straight
 from tests.make.small_surfaces import turned
 from tests.make.small_textures import unit
+from tests.oracles.naive_lens import through
 
 LENS = (-0.3, 0.1, 1e-3, -2e-3)
 
@@ -34,13 +36,10 @@ def test_a_camera_looks_down_z_with_y_down_or_down_negative_z_with_y_up(conventi
     assert np.allclose(depth, 2.0)
 
 
-def test_an_opengl_pose_is_camera_to_world_and_an_opencv_pose_is_world_to_camera():
+def test_an_opengl_pose_is_camera_to_world_an_opencv_pose_world_to_camera_perhaps_without_a_last_row():
     pose = _pose(1)
     assert np.allclose(_pinhole(pose=pose, convention="opengl").position, pose[:3, 3])
     assert np.allclose(_pinhole(pose=np.linalg.inv(pose), convention="opencv").position, pose[:3, 3])
-
-
-def test_a_pose_may_leave_out_its_last_row():
     assert np.array_equal(_pinhole(pose=_pose(2)[:3]).matrix, _pinhole(pose=_pose(2)).matrix)
 
 
@@ -125,13 +124,10 @@ def test_a_fitted_camera_keeps_up_up_and_looks_along_the_direction():
     assert np.allclose(camera.world_to_camera[2, :3], -np.array([0.0, 0.5, 1.0]) / np.sqrt(1.25))
 
 
-def test_a_fitted_camera_may_look_straight_along_up():
+def test_a_fitted_camera_may_look_straight_along_up_and_stands_in_front_of_a_single_point():
     camera = Camera.fitted([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]], [0.0, 1.0, 0.0], size=(100, 100))
     pixels, _ = camera.project([[0.0, 0.0, 0.0], [1.0, 0.0, 1.0]])
     assert (pixels[0] < pixels[1]).all()  # +x to the right, +z down
-
-
-def test_a_fitted_camera_stands_in_front_of_a_single_point():
     pixels, depth = Camera.fitted([[1.0, 2.0, 3.0]], [1.0, 0.0, 0.0], size=(10, 10)).project(
         [[1.0, 2.0, 3.0]]
     )
@@ -196,15 +192,12 @@ def test_pixels_and_points_of_another_shape_are_refused():
         _pinhole().distort([1.0, 2.0])
 
 
-def test_points_beyond_where_a_lens_would_fold_have_no_pixel():
+def test_points_beyond_where_a_lens_would_fold_have_no_pixel_and_pixels_beyond_no_ray():
     camera = _pinhole(distortion=(-1 / 3, 0.0))  # r − r³/3 rises up to r = 1, where it is 2/3
     seen, depth = camera.project([[0.999, 0.0, 1.0], [1.001, 0.0, 1.0], [0.0, -40.0, 1.0], [0.0, 0.0, -1.0]])
     assert np.allclose(seen[0], [320 + 500 * 2 / 3, 240], atol=1e-2)
     assert np.isnan(seen[1:]).all()
     assert np.allclose(depth, [1.0, 1.0, 1.0, -1.0])
-
-
-def test_pixels_that_no_point_reaches_have_no_ray():
     camera = _pinhole(distortion=(-1 / 3, 0.0))
     _, directions = camera.rays([[320 + 500 * 0.66, 240], [320 + 500 * 0.67, 240], [320, 240 + 500 * 1e6]])
     assert np.isfinite(directions[0]).all()
@@ -253,3 +246,92 @@ def test_differentials_on_planes_seen_edge_on_are_finite():
     right, down = camera.differentials([[0.0, 0.0, -1.0]] * 2, [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     assert np.isfinite(right).all()
     assert np.isfinite(down).all()
+
+
+LENSES = [
+    ("OPENCV", "opencv", [-0.3, 0.1, 1e-3, -2e-3]),
+    ("OPENCV", "opencv", [0.1, 0.05, 0.01, 0.02]),
+    ("FULL_OPENCV", "opencv", [-0.2, 0.05, 1e-3, -2e-3, 0.02, 0.1, 0.03, -0.01]),
+    ("FULL_OPENCV", "opencv", [0.4, 0.1, 0.0, 0.0, 0.01, 0.5, 0.2, 0.02]),
+    ("OPENCV_FISHEYE", "fisheye", [0.1, -0.05, 0.02, -0.01]),
+    ("OPENCV_FISHEYE", "fisheye", [0.0, 0.0, 0.0, 0.0]),
+    ("THIN_PRISM_FISHEYE", "fisheye", [0.1, -0.03, 1e-3, -2e-3, 0.02, -0.01, 3e-3, -2e-3]),
+    ("FOV", "fov", [0.9]),
+]
+
+
+def camera_of(model, lens, focal=400.0):
+    K = [[focal, 3.0, 320.0], [0.0, focal + 10.0, 240.0], [0.0, 0.0, 1.0]]
+    options = {"pose": np.eye(4), "convention": "opencv", "K": K}
+    return Camera.pinhole((640, 480), **options, distortion=lens, distortion_model=model)
+
+
+@pytest.mark.parametrize(("name", "model", "lens"), LENSES)
+def test_points_land_where_the_formulas_of_their_model_say(name, model, lens):
+    camera = camera_of(model, lens)
+    points = np.random.default_rng(0).uniform([-0.8, -0.6, 1], [0.8, 0.6, 1], (200, 3))
+    pixels, _ = camera.project(points * 2.5)
+    places = (through(name, lens, x, y) for x, y, _ in points)
+    written = [(400 * right + 3 * down + 320, 410 * down + 240) for right, down in places]
+    np.testing.assert_allclose(pixels, written, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(camera.project([[0.0, 0.0, 2.0]])[0], [[320, 240]])
+
+
+@pytest.mark.parametrize(("_name", "model", "lens"), LENSES)
+def test_rays_lead_back_to_their_pixels(_name, model, lens):
+    camera = camera_of(model, lens)
+    pixels = np.random.default_rng(1).uniform([0, 0], [640, 480], (500, 2))
+    origins, directions = camera.rays(pixels)
+    seen, _ = camera.project(origins + 3 * directions)
+    assert np.abs(seen - pixels).max() < 1e-9
+
+
+def test_a_fisheye_lens_reaches_to_where_its_angles_stop_rising():
+    camera = camera_of("fisheye", [-0.3, 0.0, 0.0, 0.0])  # θ − 0.3 θ³ rises to θ = 1/√0.9
+    turn = np.tan(1 / np.sqrt(0.9))
+    near, far = camera.distort([[0.999 * turn, 0.0], [1.001 * turn, 0.0]])
+    assert np.isfinite(near).all()
+    assert np.isnan(far).all()
+
+
+def test_a_lens_reaches_to_its_first_turn_or_pole():
+    radii = np.linspace(1e-3, 4, 40_000)
+    points = np.column_stack([radii, np.zeros_like(radii)])
+    radial = ((-0.3, 0.0), (0.0, -0.2), (0.1, -0.2), (-1.0, 0.4), (0.3, 0.1), (-0.3, 0.1))
+    rational = [0.0, 0, 0, 0, 0, -0.25, 0, 0], [-0.1, 0, 0, 0, 0.01, 0.2, -0.02, 0]
+    for lens in (*rational, *((*each, *[0.0] * 6) for each in radial)):
+        found = camera_of("opencv", lens).distort(points)[:, 0]
+        k1, k2, _, _, k3, k4, k5, _ = lens
+        s = radii**2
+        written = radii * (1 + k1 * s + k2 * s**2 + k3 * s**3) / (1 + k4 * s + k5 * s**2)
+        falls = np.flatnonzero(np.diff(written) <= 0)
+        first = falls[0] if falls.size else radii.size - 1
+        assert abs(np.isfinite(found).sum() - 1 - first) <= 2
+
+
+def test_a_fisheye_without_numbers_still_bends():
+    camera = camera_of("fisheye", [0.0] * 4)
+    assert camera.is_distorted
+    assert not camera.undistorted.is_distorted
+    wide = straight(camera_of("fisheye", [0.0] * 4, focal=250.0))
+    assert wide.width > 640
+
+
+@pytest.mark.parametrize(("model", "lens"), [("fisheye", [0.1, 0.2]), ("fov", [0.1, 0.2]), ("opencv", [0.1])])
+def test_distortions_of_another_count_are_refused(model, lens):
+    with pytest.raises(ArgumentError, match="distortion must"):
+        camera_of(model, lens)
+
+
+@pytest.mark.parametrize("angle", [np.pi, -4.0])
+def test_a_lens_whose_angle_is_a_half_circle_or_more_is_refused(angle):
+    camera_of("fov", [3.1])
+    with pytest.raises(ArgumentError, match="distortion of fov must be an angle of less than π, not "):
+        camera_of("fov", [angle])
+
+
+def test_models_that_are_none_are_refused():
+    with pytest.raises(ArgumentError, match="unknown distortion_model 'equirectangular'; there are: opencv"):
+        camera_of("equirectangular", [0.0] * 4)
+    with pytest.raises(ArgumentError, match="an orthographic camera must have no distortion"):
+        Camera(4, 4, np.eye(3), np.eye(4), "orthographic", (0.1, 0.0, 0.0, 0.0))

@@ -1,11 +1,12 @@
-"""Files of cameras, from known poses."""
+"""Files of cameras, from known poses, and frames by their names."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from octex.cameras.files import read_cameras, write_cameras
+from octex.cameras.files import find_frame, read_cameras, write_cameras
 from octex.errors import CameraError, OutputError
 from tests.make.camera_files import (
     LENS,
@@ -29,6 +30,7 @@ from tests.make.camera_files import (
     view,
     write_json,
 )
+from tests.make.painted import above
 
 
 def bent_by_brown(k1, k2, k3, p1, p2):
@@ -235,7 +237,7 @@ def test_cameras_that_cannot_be_written_leave_what_was_there(tmp_path):
 # Metashape
 
 
-def test_metashape_cameras_see_what_its_manual_says(tmp_path):
+def test_metashape_cameras_see_what_its_manual_says_also_through_fisheyes(tmp_path):
     path = tmp_path / "cameras.xml"
     path.write_text(metashape(), encoding="utf-8-sig")
     frames = read_cameras(path)
@@ -251,9 +253,6 @@ def test_metashape_cameras_see_what_its_manual_says(tmp_path):
     for word in ("false", "0"):
         path.write_text(metashape().replace('label="b"', f'label="b" enabled="{word}"'), encoding="utf-8")
         assert [frame.name for frame in read_cameras(path)] == ["a.jpg"]
-
-
-def test_metashape_cameras_may_be_fisheyes(tmp_path):
     numbers = {name: METASHAPE[name] for name in ("f", "k1", "k2", "k3", "p1", "p2")} | {"k4": -0.02}
     frames = written(tmp_path / "cameras.xml", metashape(numbers, "fisheye"))
     lens = -0.2, 0.05, -1e-3, 2e-3, 0.01, -0.02, 0.0, 0.0
@@ -294,11 +293,8 @@ def test_meshroom_cameras_may_have_simpler_lenses(tmp_path, version, kind, numbe
     sees(frame.camera(), expected(view(1), 500.0, down, (310.0, 250.0), lens))
 
 
-def test_meshroom_views_of_a_rig_may_have_poses_of_their_own(tmp_path):
+def test_meshroom_cameras_may_be_fisheyes_and_views_of_a_rig_have_poses_of_their_own(tmp_path):
     assert written(tmp_path / "cameras.sfm", meshroom().replace('"path"', '"rigId": "1", "path"'))
-
-
-def test_meshroom_cameras_may_be_fisheyes(tmp_path):
     lens = [-0.2, 0.05, 0.01, -0.02]
     (frame,) = written(tmp_path / "cameras.sfm", meshroom(kind="fisheye", numbers=lens))
     sees(frame.camera(), bent("OPENCV_FISHEYE", lens) * [500, 510] + [310, 250])
@@ -307,7 +303,7 @@ def test_meshroom_cameras_may_be_fisheyes(tmp_path):
 # Bundler
 
 
-def test_bundler_cameras_see_what_its_manual_says(tmp_path):
+def test_bundler_cameras_see_what_its_manual_says_and_a_list_of_too_many_images_is_refused(tmp_path):
     path = tmp_path / "bundle.rd.out"
     path.write_text(bundler())
     assert [(frame.name, frame.is_named) for frame in read_cameras(path)] == [("0", False), ("2", False)]
@@ -320,6 +316,9 @@ def test_bundler_cameras_see_what_its_manual_says(tmp_path):
         sees(frame.camera((640, 480)), pixels)
     (tmp_path / "list.rd.txt").write_text("C:\\scan\\a.jpg\nb.jpg\nc.jpg\n")  # of undistorted images
     assert [frame.image for frame in read_cameras(path)] == [tmp_path / "a.jpg", tmp_path / "c.jpg"]
+    (tmp_path / "bundle.out").write_text(bundler())
+    (tmp_path / "bundle.list.txt").write_text("a.jpg\nb.jpg\n")
+    assert "its list names 2 images for 3 cameras" in refusal(tmp_path / "bundle.out")
 
 
 def test_bundler_leaves_the_list_next_to_its_folder(tmp_path):
@@ -328,12 +327,6 @@ def test_bundler_leaves_the_list_next_to_its_folder(tmp_path):
     (tmp_path / "list.txt").write_text("./a.jpg\n./b.jpg\n./c.jpg\n")
     frames = read_cameras(tmp_path / "bundle" / "bundle.out")
     assert [frame.image for frame in frames] == [tmp_path / "a.jpg", tmp_path / "c.jpg"]
-
-
-def test_a_list_of_more_images_than_bundler_has_cameras_is_refused(tmp_path):
-    (tmp_path / "bundle.out").write_text(bundler())
-    (tmp_path / "bundle.list.txt").write_text("a.jpg\nb.jpg\n")
-    assert "its list names 2 images for 3 cameras" in refusal(tmp_path / "bundle.out")
 
 
 # Any file
@@ -353,3 +346,42 @@ def test_a_file_that_cannot_be_is_refused(tmp_path):
     assert "cannot be read: No such file" in refusal(tmp_path / "missing.json")
     assert "cannot be read" in refusal(tmp_path / ("long" * 1000))
     assert "is not a valid file name" in refusal("a\0b")
+
+
+FILE = Path("f.json")
+
+
+def named(folder, *names):
+    write_cameras(folder / "cameras.json", dict.fromkeys(names, above()))
+    return read_cameras(folder / "cameras.json")
+
+
+@pytest.mark.parametrize(
+    ("asked", "found"),
+    [
+        ("a/x.png", "a/x.png"), ("y.png", "y.png"), ("elsewhere/x.png", "a/x.png"), ("z.jpg", "b\\z.jpg"),
+        ("x.exr", "a/x.png"), ("w.png", "w"),
+    ],
+)  # fmt: skip
+def test_a_frame_is_found_by_its_name_then_its_file_name_then_its_stem(asked, found, tmp_path):
+    assert (
+        find_frame(named(tmp_path, "a/x.png", "b/y.png", "b\\z.jpg", "y.png", "w"), asked, FILE).name == found
+    )
+
+
+@pytest.mark.parametrize(
+    ("names", "asked", "message"),
+    [
+        (
+            ["a/x.png", "b/x.png"],
+            "x.png",
+            r"f\.json: frame 'x\.png' may be 2 frames: 'a/x\.png', 'b/x\.png'; give the whole name",
+        ),
+        (["a/x.png", "b/x.png", *"cdefghijklm"], "q", r"no frame 'q'; there are: 'a/x\.png', .* and 3 more"),
+        ([], "q", "there are: none"),
+    ],
+)
+def test_a_frame_that_is_not_there_or_not_one_is_refused_with_a_listing(names, asked, message, tmp_path):
+    frames = named(tmp_path, *names) if names else []
+    with pytest.raises(CameraError, match=message):
+        find_frame(frames, asked, FILE)

@@ -61,16 +61,13 @@ class Broken(io.StringIO):
         return False
 
 
-def test_closed_streams_are_no_error(monkeypatch):
+def test_closed_streams_are_no_error_and_names_that_are_no_text_can_be_printed(monkeypatch, tmp_path):
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
     say("result")
     with Reporter("octree-x") as progress:
         progress("stage", 1, 1)
     assert run("octree-x", lambda: 1 // 0) == ExitCode.CRASHED
-
-
-def test_names_that_are_no_text_can_be_printed(monkeypatch, tmp_path):
     file = (tmp_path / "out").open("w", encoding="ascii")
     with file:
         monkeypatch.setattr(sys, "stdout", file)
@@ -140,7 +137,9 @@ def test_compilation_is_announced_once(capsys):
 # --- checks before any work
 
 
-def test_outputs_are_checked_before_any_work(tmp_path):
+def test_outputs_are_checked_before_any_work_and_folders_that_cannot_be_written_are_refused(
+    tmp_path, monkeypatch
+):
     model = tmp_path / "model.glb"
     model.write_bytes(b"model")
     (tmp_path / "there.octex").write_bytes(b"old")
@@ -166,9 +165,6 @@ def test_outputs_are_checked_before_any_work(tmp_path):
     ):
         with pytest.raises((InputError, OutputError), match=message):
             check(*names, force=force)
-
-
-def test_a_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(OutputError, match="cannot be written"):
         check_outputs([(tmp_path / "a.octex", (".octex",), "OUTPUT")], [], force=False)

@@ -1,7 +1,8 @@
-"""Conversions at the command line."""
+"""Conversions and octex edit at the command line."""
 
 import json
 import re
+import struct
 
 import numpy as np
 import pytest
@@ -11,7 +12,14 @@ import octex
 from octex.cli.common import bytes_text
 from octex.cli.options import COMMANDS
 from octex.cli.parser import Parser
-from tests.make.fixtures import png, random_image, textured_square
+from octex.cli.values import AXES, PROJECTIONS
+from octex.errors import ModelError
+from octex.source.mapped import FRAMES, KINDS, MappedImage
+from tests.conftest import needs_jit
+from tests.make.command import run
+from tests.make.fixtures import obj_lines, png, random_image, textured_square
+from tests.make.same import assert_same
+from tests.source.test_surface import CUBE, CUBE_TRIANGLES
 
 
 def test_a_model_becomes_an_octree_texture_and_stages_are_told_on_stderr(model, made, tmp_path, cli):
@@ -178,3 +186,120 @@ def test_the_help_names_the_librarys_default_depth():
     assert f"(default {DEFAULT_DEPTH})" in " ".join(
         Parser("octex convert", COMMANDS["convert"], COMMANDS).help().split()
     )
+
+
+@pytest.fixture(scope="module")
+def other(made):
+    path = made.with_name("other.octex")
+    octex.map(octex.open(made), lambda values: 1 - values).save(path)
+    return path
+
+
+@needs_jit
+def test_every_option_is_the_operation_of_that_name(made, other, tmp_path, cli):
+    texture, second, out = octex.open(made), octex.open(other), tmp_path / "out.octex"
+    low, high = texture.bounds
+    middle = (low + high) / 2
+    box = ",".join(repr(float(each)) for each in [*low, *middle])
+    for words, wanted in (
+        (f"--crop={box}", octex.crop(texture, low, middle)),
+        ("--depth 3", octex.resize(texture, 3)),
+        (f"--combine {other}", octex.combine(texture, second)),
+        (f"--mix {other}=0.3", octex.mix(texture, second, 0.3)),
+        ("--blur 0.2", octex.blur(texture, 0.2)),
+        ("--levels 0.1,0.9,1.5", octex.levels(texture, "base_color", 0.1, 0.9, 1.5)),
+        ("--levels 0.1,0.9", octex.levels(texture, "base_color", 0.1, 0.9)),
+        ("--dtype base_color=uint16 --threads 1", octex.cast(texture, "uint16")),
+    ):
+        cli.result("edit", made, out, *words.split(), "--force")
+        found = octex.open(out)
+        found.validate()
+        assert_same(found, wanted)
+
+
+def test_options_work_in_one_order_however_they_are_given(made, other, tmp_path, cli):
+    out = tmp_path / "all.octex"
+    words = ["--dtype", "float16", "--levels", "0,0.9", "--blur", "0.1", "--mix", f"{other}=0.5"]
+    cli.result("edit", made, out, *words, "--depth", 3)
+    done = json.loads(octex.open(out).metadata["processed"])
+    assert [each["operation"] for each in done] == ["resize", "mix", "blur", "levels", "cast"]
+    cli.result("edit", made, out.with_suffix(".ply"), *words, "--depth", 3)
+    cli.result(out, tmp_path / "same.ply")
+    assert (tmp_path / "same.ply").read_bytes() == out.with_suffix(".ply").read_bytes()
+
+
+def test_a_coarser_depth_leaves_larger_leaves_as_they_are(model, tmp_path, cli):
+    adaptive, out = tmp_path / "adaptive.octex", tmp_path / "out.octex"
+    texture = octex.convert(model, 4, detail=lambda points: np.where(points[:, 0] > 0, 4, 2))
+    texture.save(adaptive)
+    assert texture.tree.cells_by_depth()[2][0]
+    for depth in (4, 3):
+        cli.result("edit", adaptive, out, "--depth", depth, "--force")
+        assert octex.open(out).tree.cells_by_depth() == texture.level(depth).tree.cells_by_depth()
+
+
+@needs_jit
+def test_images_are_projected_at_the_command_line(tmp_path):
+    model, image, out = (tmp_path / name for name in ("cube.obj", "wood.png", "cube.octex"))
+    model.write_text(obj_lines(CUBE, CUBE_TRIANGLES))
+    image.write_bytes(png(random_image(8, 8)))
+    words = [model, out, "--depth", "4", "--quiet", "--source", f"base_color={image}"]
+    words += ["--project", "box:axis=-y:center=-1,0,0.5:size=0.5"]
+    assert run(*words, "--source", "roughness=0.5") == 0
+    mapped = MappedImage(image, "box", axis="-y", center=(-1, 0, 0.5), size=0.5)
+    expected = octex.convert(octex.load_surface(model, sources={"base_color": mapped, "roughness": 0.5}), 4)
+    expected.save(model.with_name("expected.octex"))
+    assert out.read_bytes() == model.with_name("expected.octex").read_bytes()
+
+
+def test_the_help_lists_the_mappings_of_the_library():
+    assert PROJECTIONS == KINDS
+    assert tuple(FRAMES) == AXES
+
+
+@pytest.fixture
+def messy(tmp_path):
+    """A box around another, a copy of a triangle, a sliver, and a triangle to nowhere."""
+    outer, inner = trimesh.creation.box(), trimesh.creation.box((0.5, 0.5, 0.5))
+    points = [*outer.vertices.tolist(), *inner.vertices.tolist(), ["nan", 0, 0]]
+    whole = [*outer.faces.tolist(), *(inner.faces + 8).tolist()]
+    faces = [*whole, whole[3], [0, 1, 1], [0, 1, 16]]
+    path = tmp_path / "messy.obj"
+    path.write_text(obj_lines(points, faces))
+    return path
+
+
+COUNTS = {"not_finite": 1, "degenerate": 1, "duplicate": 1, "inner": 12, "moved": 0}
+
+
+def test_convert_and_bake_tell_what_they_left_out(messy, tmp_path, cli):
+    made, baked, words = tmp_path / "a.octex", tmp_path / "a.glb", ["--depth", 3, "--repair"]
+    assert "repair the model" in cli.refusal(messy, made, "--quiet")
+    assert cli.facts(messy, made, *words, "--quiet")["repair"] == COUNTS
+    texture = octex.open(made)
+    box = octex.Surface.from_arrays(trimesh.creation.box().vertices, trimesh.creation.box().faces)
+    assert texture.tree.n_leaves == octex.convert(box, 3).tree.n_leaves
+    assert json.loads(texture.metadata["repair"]) == COUNTS
+    told = cli.result("bake", made, messy, baked, "--repair", "--texture-size", 64)
+    left_out = "repair: left out triangles: 1 not finite, 1 without area, 1 duplicate, 12 inner"
+    assert left_out in told.splitlines()
+    assert len(octex.load_surface(baked).triangles) == 12
+    assert "12 inner" in cli.result(messy, tmp_path / "parts", *words, "--parts")
+
+
+@pytest.mark.parametrize("ending", ["obj", "ply", "off", "stl", "glb"])
+def test_triangles_that_are_not_finite_are_left_out_of_every_format(tmp_path, ending):
+    mesh = trimesh.creation.box()
+    points = np.concatenate([mesh.vertices, [[-77.25, 0, 0]]])
+    faces = np.concatenate([mesh.faces, [[0, 1, 8]], [[2, 8, 3]]])
+    path = tmp_path / f"a.{ending}"
+    trimesh.Trimesh(points, faces, process=False).export(path)
+    data = path.read_bytes().replace(struct.pack("<f", -77.25), struct.pack("<f", np.inf))
+    path.write_bytes(re.sub(rb"-77\.250*\b", b"inf", data) if ending in ("obj", "off") else data)
+    with pytest.raises(ModelError, match="finite"):
+        octex.load_surface(path)
+    surface = octex.load_surface(path, finite=True)
+    assert surface.provenance["not_finite"] == "2"
+    assert len(surface.triangles) == 12
+    np.testing.assert_allclose(surface.bounds, [[-0.5] * 3, [0.5] * 3])
+    assert octex.repair(surface)[1] == (2, 0, 0, 0, 0)

@@ -1,9 +1,10 @@
-"""Painting at the command line."""
+"""Painting at the command line: images, their frames, masks and cameras, and what becomes of them."""
 
 import hashlib
 import inspect
 import json
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from octex import parallel
 from octex.channels import decode
 from octex.cli.options import COMMANDS, DEFAULT_CHANNEL
 from octex.cli.parser import Parser
-from octex.cli.values import BALANCES, BLENDS, HOLES, PICTURES
+from octex.cli.values import BALANCES, BLENDS, HOLES, PICTURES, camera
 from octex.errors import ExitCode
 from octex.painting import image, paint
 from octex.painting import surface as surfaces
@@ -102,20 +103,14 @@ def test_without_force_and_as_a_layer_the_texture_is_not_replaced(scene, tmp_pat
 
 
 @needs_jit
-def test_erasing_takes_alpha_away(scene, tmp_path, cli):
+def test_erasing_takes_alpha_away_as_the_library_does(scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     cli.result(*scene.shot, OUT, out, "--blend", "erase", "--opacity", 0.5, "--quiet")
     before, after = octex.open(scene.texture), octex.open(out)
-    after.validate()
-    assert (list(before.channels), list(after.channels)) == (["base_color"], ["base_color", "alpha"])
+    erased = octex.Projection(scene.square, scene.camera, opacity=0.5, blend="erase")
+    assert_painted(after, octex.paint(before, scene.surface, erased))
     points, inside = scene.places(1.5)
     np.testing.assert_allclose(after.sample(points[inside], "alpha"), 0.5, atol=0.02)
-    points, near = scene.places(-8.0)
-    away = scene.surface.scatter(1000)
-    hidden = away.rest[away.normals[:, 2] < -0.5]
-    for unpainted in (points[~near], hidden):
-        np.testing.assert_allclose(after.sample(unpainted, "alpha"), 1.0, atol=1e-6)
-    np.testing.assert_allclose(after.sample(hidden), before.sample(hidden), atol=1e-5)
     (told,) = json.loads(after.metadata["paint"])
     assert (told["blend"], told["opacity"]) == ("erase", 0.5)
 
@@ -173,30 +168,24 @@ def test_a_texture_that_is_not_there_is_begun(scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     assert "there is no texture yet: painting begins a new one" in cli.errors(*scene.shot[1:], OUT, out)
     made = octex.open(out)
-    made.validate()
-    image = octex.Projection(scene.square, scene.camera)
-    assert_painted(made, octex.paint(None, scene.surface, image))
-    points, inside = scene.places(1.5)
-    np.testing.assert_allclose(made.sample(points[inside]), [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
+    assert_painted(made, octex.paint(None, scene.surface, octex.Projection(scene.square, scene.camera)))
     assert made.metadata["source"] == "box.glb"
     assert set(made.metadata) == {"source", "sha256", "octex", "paint"}
 
 
 @needs_jit
-@pytest.mark.parametrize("depth", [[], ["--max-depth", 3]])
-def test_a_new_texture_may_have_a_background(depth, scene, tmp_path, cli):
-    out = tmp_path / "out.octex"
-    arguments = [*scene.shot[1:], OUT, out, *depth, "--force", "--quiet"]
-    cli.result(*arguments, "--holes", "#204060")
-    made = octex.open(out)
-    made.validate()
-    assert not depth or made.tree.max_depth == 3
-    away = scene.surface.scatter(2000)
-    hidden = away.rest[away.normals[:, 2] < -0.5]
+def test_a_new_texture_may_have_a_background(scene, tmp_path, cli):
+    out, square = tmp_path / "out.octex", octex.Projection(scene.square, scene.camera)
+    arguments = [*scene.shot[1:], OUT, out, "--force", "--quiet"]
     color = decode(np.array([0x20, 0x40, 0x60], np.uint8), "srgb")
-    np.testing.assert_allclose(made.sample(hidden), np.tile(color, (len(hidden), 1)), atol=1e-3)
-    cli.result(*arguments, "--channel", "roughness", "--holes", "51")
-    assert octex.open(out).sample(hidden, "roughness") == pytest.approx(0.2, abs=1e-3)
+    for words, channel, holes in (
+        (["--holes", "#204060"], "base_color", color),
+        (["--holes", "#204060", "--max-depth", 3], "base_color", color),
+        (["--holes", "51"], "roughness", 0.2),
+    ):
+        cli.result(*arguments, *words, "--channel", channel)
+        options = {"channel": channel, "holes": holes, "max_depth": 3 if "--max-depth" in words else None}
+        assert_painted(octex.open(out), octex.paint(None, scene.surface, square, **options))
     for channel in "roughness", "normal":
         message = cli.refusal(*arguments, "--holes", "1,2,3", "--channel", channel)
         assert message.startswith(f"{channel!r} holds no colours, so '#010203' has no meaning")
@@ -296,3 +285,138 @@ def test_the_help_names_the_librarys_defaults():
     assert f"skip surface tilted more {angles}" in text
     assert f"edges in depth (default {defaults['edge_feather']:g})" in text
     assert inspect.signature(paint.paint).parameters["max_depth"].default is None
+
+
+@needs_jit
+def test_images_are_matched_to_frames_by_their_file_names(scene, tmp_path, cli):
+    arguments = [*scene.shot[:2], "--camera", scene.cameras, OUT, tmp_path / "out.octex", "--force"]
+    assert cli.facts(*arguments, scene.blue, scene.square)["painted"] == ["blue.png", "square.png"]
+    assert cli.facts(*arguments)["painted"] == ["square.png", "blue.png"]  # they lie beside their cameras
+
+
+@needs_jit
+def test_images_without_a_frame_are_skipped_and_refused_if_none_has_one(scene, tmp_path, cli):
+    out = tmp_path / "out.octex"
+    arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, out]
+    (tmp_path / "other.png").write_bytes(scene.blue.read_bytes())
+    black, white = tmp_path / "black.png", tmp_path / "white.png"
+    Image.fromarray(np.zeros((SIZE, SIZE), np.uint8)).save(black)
+    Image.fromarray(np.full((SIZE, SIZE), 255, np.uint8)).save(white)
+    masked = [word for mask in (black, white, black) for word in ("--mask", mask)]
+    shown = [tmp_path / "other.png", scene.blue, scene.square]
+    assert cli.run(*arguments, *shown, *masked, "--json") == ExitCode.DONE  # the white mask is blue's
+    told, said = cli.said()
+    assert f"skipped 1 of 3 images, which have no camera in {scene.cameras}: 'other.png'\n" in said
+    made = json.loads(told)
+    assert (made["painted"], made["skipped"]) == (["blue.png", "square.png"], ["other.png"])
+    out.unlink()
+    assert cli.refusal(*arguments, tmp_path / "other.png") == (
+        f"{scene.cameras}: there is no frame {(tmp_path / 'other.png').as_posix()!r}; "
+        "there are: 'square.png', 'blue.png'; IMAGE=NAME says which camera an IMAGE has"
+    )
+    message = cli.refusal(*scene.shot, scene.blue, OUT, out)
+    assert message.startswith("--camera names one frame, 'square.png', for 2 IMAGEs; leave the name out")
+    alone = tmp_path / "alone" / "cameras.json"
+    alone.parent.mkdir()
+    alone.write_bytes(scene.cameras.read_bytes())
+    message = cli.refusal(scene.texture, scene.model, "--camera", alone, OUT, out)
+    assert message.startswith(f"{alone}: none of the 2 images that it names exists: 'square.png'")
+    unnamed = tmp_path / "cameras.npz"
+    np.savez(unnamed, viewmats=np.eye(4)[None], Ks=np.eye(3)[None])
+    message = cli.refusal(scene.texture, scene.model, "--camera", unnamed, OUT, out)
+    assert message == f"{unnamed}: does not name the images of its cameras; give IMAGEs"
+
+
+@needs_jit
+def test_a_files_own_images_are_painted_and_missing_ones_skipped(scene, tmp_path, cli):
+    file, names = transforms(scene, tmp_path)
+    arguments = [scene.texture, scene.model, "--camera", file, OUT, tmp_path / "out.octex"]
+    listing = ", ".join(map(repr, names[:5]))
+    assert cli.refusal(*arguments) == (
+        f"{file}: none of the 8 images that it names exists: {listing} and 3 more; give IMAGEs"
+    )
+    (tmp_path / "images").mkdir()
+    (tmp_path / names[0]).write_bytes(scene.blue.read_bytes())
+    assert cli.run(*arguments, "--json") == ExitCode.DONE
+    told, said = cli.said()
+    listing = ", ".join(map(repr, names[1:6]))
+    assert f"octex paint: skipped 7 of 8 images: {listing} and 2 more\n" in said
+    made = json.loads(told)
+    assert (made["painted"], made["skipped"]) == (["blue.png"], names[1:])
+
+
+def transforms(scene, folder):
+    """Write a transforms.json that names eight images; return it and their names."""
+    flip = np.diag([1.0, -1.0, -1.0, 1.0])
+    pose = (np.linalg.inv(scene.camera.world_to_camera) @ flip).tolist()
+    names = ["images/blue.png", *(f"images/{number}.png" for number in range(7))]
+    document = {
+        "fl_x": float(scene.camera.K[0, 0]),
+        "frames": [{"file_path": name, "transform_matrix": pose} for name in names],
+    }
+    file = folder / "transforms.json"
+    file.write_text(json.dumps(document))
+    return file, names
+
+
+def test_images_that_cannot_be_used_are_refused_by_file_and_frame(scene, tmp_path, cli):
+    out, camera = tmp_path / "out.octex", ["--camera", f"{scene.cameras}#square.png"]
+    small, words, missing = tmp_path / "small.png", tmp_path / "words.png", tmp_path / "missing.png"
+    Image.new("RGB", (8, 5)).save(small)
+    words.write_text("words")
+    paint = [scene.texture, scene.model]
+    frame = f"frame 'square.png' of {scene.cameras}"
+    assert cli.refusal(*paint, small, *camera, OUT, out) == (
+        f"{small}: {frame} is for {SIZE}×{SIZE} pixels, the image has 8×5, another shape; give the "
+        "image that the camera was made for"
+    )
+    message = cli.refusal(*paint, words, *camera, OUT, out)
+    assert message.startswith("words.png cannot be read as an image (")
+    assert message.endswith(f"(for {frame})")
+    message = cli.refusal(*paint, missing, *camera, OUT, out)
+    assert message == f"{missing} cannot be read: No such file or directory (for {frame})"
+    message = cli.refusal(*scene.shot, "--mask", small, OUT, out)
+    assert message.startswith(f"{small} has 8×5 pixels, its camera {SIZE}×{SIZE}")
+    message = cli.refusal(*scene.shot[:4], f"{scene.cameras}#nobody", OUT, out)
+    assert message == f"{scene.cameras}: there is no frame 'nobody'; there are: 'square.png', 'blue.png'"
+    message = cli.refusal(*scene.shot[:4], tmp_path / "none.json", OUT, out)
+    assert message.startswith(f"{tmp_path / 'none.json'}: cannot be read")
+    assert not out.exists()
+
+
+@needs_jit
+def test_masks_are_one_for_all_or_one_each(scene, tmp_path, cli):
+    out, black, white = (tmp_path / name for name in ("out.octex", "black.png", "white.png"))
+    for path, code in ((black, 0), (white, 255)):
+        Image.new("L", (SIZE, SIZE), code).save(path)
+    both = [*scene.shot[:2], scene.square, scene.blue, "--camera", scene.cameras, OUT, out, "--force"]
+    cli.result(*both, "--mask", white, "--mask", black, "--quiet")
+    masked = ((scene.square, white), (scene.blue, black))
+    images = [octex.Projection(image, scene.camera, mask) for image, mask in masked]
+    assert_painted(octex.open(out), octex.paint(octex.open(scene.texture), scene.surface, images))
+    assert cli.run(*both, "--mask", black) == ExitCode.NOTHING_PAINTED
+    cli.said()
+    message = cli.refusal(*both, *["--mask", white] * 3)
+    assert message == "--mask gives 3 for 2 IMAGEs; give one for all, or one an IMAGE"
+
+
+@needs_jit
+def test_an_image_may_name_its_frame(scene, tmp_path, cli):
+    out, other = tmp_path / "out.octex", tmp_path / "other.octex"
+    image = tmp_path / "my=image.png"
+    image.write_bytes(scene.square.read_bytes())
+    shot = [scene.texture, scene.model, "--camera", scene.cameras, "--quiet", OUT]
+    cli.result(*shot, out, f"{image}=square.png")
+    cli.result(*shot, other, scene.square)
+    assert np.array_equal(octex.open(out).tree.arrays.flags, octex.open(other).tree.arrays.flags)
+    refused = cli.refusal(*shot, tmp_path / "no.octex", f"{image}=x.png")
+    assert refused.startswith(f"{scene.cameras}: there is no frame 'x.png'; there are: ")
+
+
+def test_the_name_of_a_camera_comes_after_the_file(tmp_path):
+    (tmp_path / "a#b.json").touch()
+    plain = f"{tmp_path}/a#b.json"
+    assert camera(plain) == (Path(plain), None)
+    assert camera(f"{plain}#c#d") == (Path(plain), "c#d")
+    assert camera("missing.json#a#b") == (Path("missing.json"), "a#b")
+    assert camera("#a") == (Path("#a"), None)

@@ -80,6 +80,8 @@ paint m.glb o.octex --holes 1,2,256 → --holes: 1,2,256 is not from 0 to 255, n
 paint t.octex m.glb o.octex --camera c# → --camera: 'c#' names no camera; write FILE#NAME, or FILE
 paint t.octex m.glb o.octex --camera c --max-depth 22 → --max-depth: 22 is not from 0 to 21
 bake a.glb b.octex c.glb → b.octex stands in the wrong place: write octex bake [TEXTURE] MODEL OUTPUT
+bake box.glb x.glb --triangles 0 → --triangles: '0' is not a number like 50k, 1.5M or 50000
+bake box.octex box.glb x.ply --displace base_color → --displace: 'base_color' is not CHANNEL=HEIGHT[,MIDDLE]…
 edit a.octex b.octex --dpeth=3 → --dpeth is not an option: do you mean --depth
 edit a.octex b.octex --crop 0,0,0,1,1 → --crop: '0,0,0,1,1' is not x0,y0,z0,x1,y1,z1, such as 0,0,0,1,2,1
 edit a.octex b.octex --crop 0,0,0,1,1,nan → --crop: 0,0,0,1,1,nan has numbers that are not finite
@@ -97,6 +99,8 @@ diff a.octex b.octex --depth 3 → --depth is an option of octex convert, octex 
 validate a b → b is one file too many for octex validate TEXTURE
 validate a.octex --json=1 → --json takes no value
 overlaps a.glb --margin --json → --margin needs a value, SIZE
+box.glb x.octex --subdiv limit → --subdiv: 'limit' is not a whole number
+box.glb x.octex --subdiv 1,cage → --subdiv: 'cage' is not one of hull, limit
 warm-up now → now is one file too many for octex warm-up
 """
 #: The same of what is no matter of usage; … stands for any text.
@@ -110,6 +114,11 @@ a.octex b.octex --source alpha=a.png --project box → a.octex: --source needs t
 box.glb x.octex --depth 3 --detail wear → unknown detail 'wear'; there are: base_color, stretch
 box.glb x.octex --depth 3 --detail base_color → --detail must be a channel with one component in 0 … 1, and …
 box.glb x.octex --channels base_color --detail stretch --source stretch=1 → --source gives stretch, but …
+box.glb x.octex --subdiv 0 → levels must be a whole number from 1 to 10, not 0
+box.glb x.octex --pose B@1 → box.glb has no animations; leave the pose 'B@1' out
+draw box.glb v.png --as paint --camera-out c.json --pose B@1 → box.glb has no animations; leave …
+box.glb x.octex --also box.glb --pose A@1 → --pose applies to one model; …
+shapes.py:ball x.octex --pose A@1 → --pose applies to meshes, not to functions
 box.glb b.ply --memory 9kB → b.ply: a texture is converted to NAME.octex
 box.glb x.octex --depth 3 --channels normal → box.glb has no channel normal; it has base_color
 box.glb x.octex --depth 3 --dtype normal=uint16 → unknown channel of dtype 'normal'; there are: base_color
@@ -167,6 +176,7 @@ view a.octex a.glb --recover → --recover needs --paint
 view a.octex a.glb --paint a.octex → a.octex: --paint is also an input; give it another name
 view a.octex a.glb --paint b.png → b.png: --paint has the ending '.png'; octex writes .octex and .octz here
 view a.octex a.glb a.html --paint b.octex → --paint cannot be used when a page is written
+view box.octex box.glb --paint out.octex → out.layers.octex: exists already; --force overwrites it
 view a.octex a.glb --paint there.octex → there.octex: exists already; --force overwrites it
 draw box.octex box.glb v.png --as paint → --as paint without --camera needs --camera-out: only with its …
 draw box.octex box.glb v.png --as paint --camera c.json --direction 0,0,1 → --direction cannot be used with …
@@ -204,6 +214,10 @@ bake box.octex box.glb x.obj --unit inch → --unit has no effect on x.obj: the 
 bake box.octex box.glb x.obj --octree → --octree has no effect on x.obj: only .glb and .gltf carry it
 bake box.octex box.glb x.glb --triangles 9 --displace alpha=1 → --displace cannot be used with --triangles
 bake box.octex box.glb x.glb --triangles 9 --uv keep → --uv keep cannot be used with --triangles: the mesh …
+bake box.octex box.glb x.glb --texture-size 1 → --texture-size must be a whole number from …
+bake box.octex box.glb x.obj --vertex-error 4 → --vertex-error is for vertex colours; add --vertex-colors
+bake box.glb x.glb --triangles 9k --original box.glb → --original cannot be used with --triangles
+bake box.glb x.glb --triangles 9k --vertex-colors → --triangles cannot be used with vertex colours
 bake box.glb x.ptx → x.ptx: needs a texture; octex convert makes one of the model
 bake box.octex box.glb x.ptx --uv keep → --uv cannot be used for x.ptx
 edit box.glb x.octex --blur 1 → box.glb: is a model without EXT_octree_texture; octex convert makes a …
@@ -230,6 +244,7 @@ FILES = {
     "shapes.py": "three = 3\ndef red(points): return points\ndef ball(points): return points[:, 0]\n",
     "broken.py": "def red(:\n", "empty.glb": "", "broken.gltf": "{", "words.txt": "words", "empty.octex": "",
     "words.octex": "words and words and words", "there.octex": "", "there.png": "",
+    "out.layers.octex": "",
 }  # fmt: skip
 
 

@@ -97,16 +97,13 @@ def test_textures_are_read_with_the_filter_asked_for():
         assert found["roughness"].maximum == pytest.approx(most)  # the spline's weight in the middle
 
 
-def test_a_texture_does_not_differ_from_itself():
+def test_a_texture_does_not_differ_from_itself_and_which_is_first_matters_for_the_names_alone():
     texture = sheet({BASE_COLOR: noise(1), ROUGHNESS: noise(2, 1)})
     found = difference(texture, texture)
     assert list(found) == ["base_color", "roughness"]
     for result in found.values():
         assert (result.rms, result.p99, result.maximum, result.psnr) == (0.0, 0.0, 0.0, math.inf)
         assert result.a == result.b
-
-
-def test_which_is_first_does_not_matter_but_for_the_names():
     a, b = sheet({BASE_COLOR: noise(1)}), sheet({BASE_COLOR: noise(2)}, rows=slice(2, 8))
     there, back = difference(a, b), difference(b, a)
     assert there["base_color"].rms == pytest.approx(back["base_color"].rms)
@@ -155,7 +152,7 @@ def test_what_only_one_texture_covers_is_left_out_and_counted():
             difference(a, sheet({ROUGHNESS: 0.0}, **place))
 
 
-def test_channels_that_only_one_has_are_named():
+def test_channels_that_only_one_has_are_named_and_one_that_means_something_else_is_refused():
     a, b = sheet({BASE_COLOR: 0.5, ROUGHNESS: 0.5}), sheet({ROUGHNESS: 0.25, ALPHA: 0.5})
     found = difference(a, b)
     assert list(found) == ["roughness"]
@@ -168,9 +165,6 @@ def test_channels_that_only_one_has_are_named():
     ):
         with pytest.raises(ArgumentError, match=message):
             difference(a, other, channels=channels)
-
-
-def test_a_channel_that_means_something_else_is_refused():
     light, data = ChannelFormat("own", 3, "linear", "float32"), ChannelFormat("own", 1, "data")
     with pytest.raises(
         ArgumentError,
@@ -179,16 +173,13 @@ def test_a_channel_that_means_something_else_is_refused():
         difference(sheet({light: 0.5}), sheet({data: 0.5}))
 
 
-def test_light_is_compared_alike_however_it_is_stored():
+def test_light_is_compared_alike_however_it_is_stored_as_far_as_it_is_covered():
     linear = ChannelFormat("base_color", 3, "linear", "float32")
     stored = difference(sheet({BASE_COLOR: 0.25}), sheet({linear: 0.25}))["base_color"]
     assert stored.maximum < 0.5  # as stored in eight bits
     result = difference(sheet({linear: 1.0}), sheet({linear: 16.0}))["base_color"]
     assert result.maximum == pytest.approx(code(16.0) - 255, rel=1e-6)  # above 1, the curve goes on
     assert result.b == pytest.approx((code(16.0),) * 3)
-
-
-def test_light_counts_as_far_as_it_is_covered():
     clear, half = {ALPHA: 0.0}, {ALPHA._replace(dtype="float32"): 0.5}
     for form, one, other, expected in (
         (BASE_COLOR, clear, clear, 0.0),

@@ -1,3 +1,5 @@
+"""Previews, and layers that lie behind each other."""
+
 from types import SimpleNamespace
 
 import numpy as np
@@ -201,14 +203,11 @@ def test_cubes_have_the_values_of_their_leaves_and_lie_in_the_image():
     assert not (saturated & border).any()
 
 
-def test_leaves_are_drawn_no_finer_than_asked(quarters):
+def test_leaves_are_drawn_no_finer_than_asked_and_coarser_for_a_far_camera(quarters, monkeypatch):
     root = render_leaves(quarters[1], FITTED, level=0, cubes=True, supersample=1)
     assert np.allclose(root[32, 32] / FRONT, 0.5, atol=0.02)
     deep, finest = (render_leaves(quarters[1], FITTED, level=level, supersample=1) for level in (9, 5))
     assert np.array_equal(deep, finest)
-
-
-def test_a_far_camera_draws_coarse_leaves(quarters, monkeypatch):
     _, texture = quarters
     levels = []
     monkeypatch.setattr(type(texture), "level", lambda self, level: levels.append(level) or self)
@@ -401,3 +400,71 @@ def test_images_are_seen_from_where_their_cameras_stand():
         )
         (expected,) = seen([direction])
         np.testing.assert_allclose(made.world_to_camera, expected.world_to_camera, atol=1e-9)
+
+
+def _sheets(alphas, colors, order):
+    """Squares behind each other toward −z, in some order, each of a colour and an alpha."""
+    vertices = np.vstack([SQUARE - [0.0, 0.0, 0.1 * n] for n in order])
+    triangles = np.vstack([TWO + 4 * n for n in range(len(order))])
+    rgba = np.column_stack([colors, alphas])[order]
+    return Surface.from_arrays(vertices, triangles, colors=rgba.repeat(4, axis=0), alpha="blend")
+
+
+def _over(alphas, colors, behind):
+    """Composite, the nearest first."""
+    for alpha, color in zip(alphas[::-1], colors[::-1], strict=True):
+        behind = alpha * np.asarray(color) * FRONT + (1 - alpha) * behind
+    return behind
+
+
+@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 1, 0, 2]])
+def test_layers_are_drawn_over_what_is_behind_them_in_whatever_order_they_are_stored(order):
+    alphas, colors = np.array([0.5, 0.0, 0.25, 0.6]), np.array([[1, 0, 0], [1, 1, 1], [0, 1, 0], [0, 0, 1.0]])
+    surface = _sheets(alphas, colors, order)
+    truth = _over(alphas, colors, background(4, 4))
+    assert np.allclose(render_surface(surface, _camera(4), source_shader(surface), 2), truth, atol=1e-5)
+    texture = octex.convert(surface, 7)
+    found = render_surface(surface, _camera(4), texture_shader(texture), 2)
+    assert np.allclose(found[1:-1, 1:-1], truth[1:-1, 1:-1], atol=0.02)
+
+
+def test_what_is_opaque_ends_the_layers_and_each_look_has_its_own():
+    surface = _sheets(np.array([0.5, 1.0, 1.0]), np.eye(3), [2, 0, 1])
+    seen = []
+
+    def red(hits):
+        seen.append(len(hits.width))
+        return Appearance(np.tile([1.0, 0.0, 0.0], (len(hits.width), 1)))
+
+    both = rasters.film_surface(surface, _camera(4), [source_shader(surface), red], 1)
+    assert seen == [16, 16]  # behind the first layer, nothing behind the second
+    truth = _over(np.array([0.5, 1.0]), np.eye(3)[:2], 0.0)
+    assert np.allclose(both[0].image(), truth, atol=1e-6)
+    assert np.allclose(both[1].image(), FRONT * np.array([1.0, 0, 0]), atol=1e-6)
+
+
+@pytest.mark.parametrize("cutoff", [0.25, 0.5, 0.75])
+def test_masks_are_cut_out_at_their_cutoff_and_show_what_is_behind(cutoff):
+    ramp = np.zeros((64, 64, 4), np.uint8)
+    ramp[..., 0] = 255
+    ramp[..., 3] = np.rint(np.linspace(0, 255, 64))[:, None]
+    card = {"uv": SQUARE[:, :2], "image": ramp, "wrap": "clamp"}
+    masked = _square(**card, alpha="mask", cutoff=cutoff)
+    wall = Surface.from_arrays(SQUARE - [0, 0, 0.5], TWO, factor=(0.0, 0.0, 1.0))
+    both = Surface.joined([masked, wall])
+    texture = octex.convert(both, 6)
+    for look in (source_shader(both), texture_shader(texture)):
+        image = render_surface(both, _camera(32), look, 2) / FRONT
+        rows = np.arange(32)
+        is_card = (rows + 0.5) / 32 > cutoff
+        clear = np.abs((rows + 0.5) / 32 - cutoff) > 0.06
+        clear[:2] = clear[-2:] = False
+        assert np.allclose(image[is_card & clear][:, 4:-4], [1, 0, 0], atol=0.02)
+        assert np.allclose(image[~is_card & clear][:, 4:-4], [0, 0, 1], atol=0.02)
+
+
+def test_leaves_that_cover_nothing_hide_nothing():
+    both = _sheets(np.array([0.0, 1.0]), np.array([[1, 1, 1], [0.2, 0.4, 0.6]]), [0, 1])
+    camera = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
+    image = render_leaves(octex.convert(both, 6), camera, supersample=1)
+    assert np.allclose(image[24:40, 24:40] / FRONT, [0.2, 0.4, 0.6], atol=0.03)

@@ -10,7 +10,7 @@ from octex.source.surface import Surface
 from tests.drawing.test_preview import SQUARE, TWO
 
 
-def test_flat_models_are_seen_a_little_aslant_from_the_sides_that_they_face():
+def test_flat_models_are_seen_aslant_from_the_sides_that_they_face_others_from_above_and_the_right():
     for normal in np.vstack([np.eye(3), -np.eye(3)]):
         (direction,) = view_directions(normal[None], np.ones(1))
         assert np.isclose(np.linalg.norm(direction), 1.0)
@@ -21,9 +21,6 @@ def test_flat_models_are_seen_a_little_aslant_from_the_sides_that_they_face():
         assert front * back < 0
     usual = view_directions(np.eye(3), np.ones(3))[0]
     assert np.allclose(view_directions(usual[None], np.ones(1)), usual)
-
-
-def test_other_models_are_seen_from_above_and_first_from_the_front_right():
     directions = view_directions(np.vstack([np.eye(3), -np.eye(3)]), np.ones(6))
     assert directions[0, 2] > directions[0, 0] > 0.0
     assert (directions[:, 1] > 0.0).all()

@@ -1,7 +1,6 @@
 """Ptex: files against a simple reader, meshes against their polygons, textures there and back."""
 
 import importlib.util
-import os
 import struct
 import sys
 import zlib
@@ -23,7 +22,6 @@ from tests.make.small_surfaces import OCTAHEDRON, OCTAHEDRON_FACES
 from tests.oracles import naive_ptex
 
 TOOLS = Path(__file__).parents[2] / "tools"
-MODELS = os.environ.get("OCTEX_TEST_MODELS")
 # A cage of quads, a pentagon and a triangle: a house without a floor, whose walls share edges with the roof.
 HOUSE = """v 0 0 0
 v 2 0 0
@@ -392,9 +390,8 @@ def test_the_command_goes_both_ways(house, tmp_path, cli):
     assert f"convert its mesh with --transfer {made}" in cli.refusal(made, tmp_path / "other.octex")
 
 
-@pytest.mark.skipif(MODELS is None, reason="OCTEX_TEST_MODELS names no folder of real models")
-def test_real_files_fit_their_meshes_and_have_the_neighbours_of_these():
-    folder = Path(str(MODELS)) / "ptex-disney"
+def test_real_files_fit_their_meshes_and_have_the_neighbours_of_these(models):
+    folder = models / "ptex-disney"
     for mesh, ptex in (
         ("cube/cube.obj", "cube/text/cube.ptx"),
         ("flatsphere/ptex_test_object_orig.obj", "flatsphere/cellnoise.ptx"),
@@ -407,9 +404,8 @@ def test_real_files_fit_their_meshes_and_have_the_neighbours_of_these():
             assert np.array_equal(edges, file.faces.edges)
 
 
-@pytest.mark.skipif(MODELS is None, reason="OCTEX_TEST_MODELS names no folder of real models")
-def test_malformed_files_are_refused():
-    files = sorted((Path(str(MODELS)) / "ptex-oiio" / "src").glob("*.ptx"))
+def test_malformed_files_are_refused(models):
+    files = sorted((models / "ptex-oiio" / "src").glob("*.ptx"))
     refused = 0
     for path in files:
         if path.name == "triangle.ptx":

@@ -72,16 +72,13 @@ def test_a_file_that_says_what_it_does_not_hold_is_refused(name):
         read_npz(file)
 
 
-def test_a_file_whose_members_share_their_bytes_is_refused():
+def test_files_whose_members_share_their_bytes_or_are_encrypted_are_refused():
     content = zipped("a.npy", bytes(1 << 20)).getvalue()
     at, count = content.index(b"PK\1\2"), 1300
     entries = b"".join(content[at : at + 46] + f"{n:05}".encode() for n in range(count))
     end = content[-22:-14] + struct.pack("<HHII", count, count, len(entries), at) + bytes(2)
     with pytest.raises(ValueError, match="are larger than the file can hold"):
         read_npz(io.BytesIO(content[:at] + entries + end))
-
-
-def test_what_is_encrypted_is_refused():
     content = bytearray(zipped("a.npy", bytes(100)).getvalue())
     content[6] |= 1
     content[content.index(b"PK\1\2") + 8] |= 1

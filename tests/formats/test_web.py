@@ -16,6 +16,7 @@ from octex.errors import ArgumentError, OctexError, TextureFileError
 from octex.formats.web import texture_file
 from octex.processing.mapping import cast
 from octex.tree.children import node_cells
+from octex.tree.layout import FACING_FLAGS
 from tests.conftest import needs_jit
 from tests.make.painted import ball
 from tests.make.same import assert_same
@@ -44,17 +45,26 @@ def with_leaf_areas_of(texture, other):
     return texture.with_cells(tree, texture.channels)
 
 
-@pytest.mark.parametrize("depth", range(6))
+@pytest.mark.parametrize("depth", [*range(6), pytest.param("several", marks=needs_jit)])
 def test_a_texture_comes_back_from_its_web_file(depth, tmp_path):
-    texture = shell(depth) if depth else eight_colors().level(0)
-    (tmp_path / "shell.octw").write_bytes(texture_file(texture, "shell"))
-    back = octex.open(tmp_path / "shell.octw")
+    if depth == "several":
+        texture = octex.convert(colored(), depth=5, max_error=8.0)
+    else:
+        texture = shell(depth) if depth else eight_colors().level(0)
+    path, tree, arrays = tmp_path / "shell.octw", texture.tree, texture.tree.arrays
+    path.write_bytes(texture_file(texture, "shell"))
+    back = octex.open(path)
     back.validate()
     assert_same(with_leaf_areas_of(back, texture), texture)
     assert back.placement == texture.placement
     np.testing.assert_array_equal(back.bounds, texture.bounds)
-    found = WebFile(tmp_path / "shell.octw")
-    for name, channel in back.channels.items():
+    found = WebFile(path)
+    assert (found.header["depth"], found.header["size"]) == (tree.max_depth, texture.placement.size)
+    assert (len(found.parents), len(found.leaves())) == (tree.n_cells, tree.n_leaves)
+    np.testing.assert_array_equal(np.array(found.flags) & FACING_FLAGS, arrays.flags & FACING_FLAGS)
+    nodes = sorted(found.areas)
+    np.testing.assert_array_equal([found.areas[cell] for cell in nodes], arrays.areas[nodes])
+    for name, channel in texture.channels.items():
         np.testing.assert_array_equal(found.values[name], channel.values)
 
 

@@ -266,12 +266,9 @@ def test_arrays_and_numbers_that_do_not_fit_are_refused(arguments, options, comp
         octex.PointCloud(*arguments, **options)
 
 
-def test_points_have_no_roughness():
+def test_points_for_another_channel_and_radii_that_hold_far_too_many_are_refused():
     with pytest.raises(ArgumentError, match="not roughness"):
         ball().with_sources({"roughness": scanned(10)})
-
-
-def test_a_radius_that_holds_far_too_many_points_is_refused():
     points = np.random.default_rng(0).random((40_000, 3)) * [1, 1, 0]
     cloud = octex.PointCloud(points, points, radius=10.0)
     with pytest.raises(ArgumentError, match="holds about 40,000 points"):

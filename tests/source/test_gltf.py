@@ -1,8 +1,9 @@
-"""glTF and GLB against an independent reader: what is shown, and where."""
+"""glTF and GLB against an independent reader: what is shown, where, and with which images and normal maps."""
 
 import base64
 import hashlib
 import json
+import shutil
 import struct
 
 import numpy as np
@@ -11,7 +12,20 @@ import pytest
 from octex.errors import ModelError
 from octex.source.load import load_surface
 from tests.make.agreement import assert_agrees
-from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, Gltf, png, random_image, textured_square
+from tests.make.fixtures import (
+    CLAMP,
+    MIRROR,
+    NEAREST,
+    REPEAT,
+    SQUARE,
+    SQUARE_TRIANGLES,
+    SQUARE_UV,
+    Gltf,
+    png,
+    random_image,
+    saved,
+    textured_square,
+)
 
 
 def test_transforms_apply_down_the_tree_and_meshes_may_be_shown_often(tmp_path):
@@ -218,3 +232,206 @@ def test_compressed_content_with_a_plain_copy_beside_it_is_read(tmp_path):
         view["extensions"] = {"EXT_meshopt_compression": {}}
     gltf.show(entry)
     assert_agrees(gltf.save(tmp_path / "a.gltf"))
+
+
+@pytest.mark.parametrize("sampler", [{}, {"wrap": (REPEAT, REPEAT), "minify": NEAREST}])
+def test_a_texture_repeats_and_is_linear_without_a_sampler_that_says_otherwise(tmp_path, sampler):
+    image = png(random_image(4, 4))
+    assert_agrees(textured_square(tmp_path / "a.glb", image, scale=3.0, shift=-1.0, **sampler))
+
+
+def test_coordinates_may_be_normalized_integers(tmp_path):
+    gltf = Gltf()
+    material = gltf.material(gltf.texture(gltf.image(png(random_image(4, 4))), wrap=(CLAMP, CLAMP)))
+    gltf.show(gltf.primitive(uv=(SQUARE_UV * 65535).astype(np.uint16), material=material))
+    gltf.show(gltf.primitive(uv=(SQUARE_UV * 255).astype(np.uint8), material=material), translation=[2, 0, 0])
+    assert_agrees(gltf.save(tmp_path / "a.glb"))
+
+
+def test_several_materials_images_and_primitives_keep_their_own(tmp_path):
+    gltf = Gltf()
+    images = [gltf.image(png(random_image(3 + i, 4, seed=i))) for i in range(2)]
+    materials = [
+        gltf.material(gltf.texture(images[0], wrap=(CLAMP, MIRROR)), factor=(1, 0.5, 1, 1)),
+        gltf.material(gltf.texture(images[1], mag=NEAREST)),
+        gltf.material(gltf.texture(images[0], wrap=(REPEAT, REPEAT))),
+        gltf.material(factor=(0.1, 0.2, 0.3, 1)),
+        None,
+    ]
+    shapes = [
+        gltf.primitive(SQUARE + np.float32([0, 0, i]), uv=SQUARE_UV * 2 - np.float32(0.5), material=material)
+        for i, material in enumerate(materials)
+    ]
+    gltf.show(*shapes[:2])
+    gltf.show(*shapes[2:])
+    assert_agrees(gltf.save(tmp_path / "a.glb"), 300)
+
+
+def test_a_quarter_turn_of_the_transform_is_the_example_of_the_extension(tmp_path):
+    # The lower left quadrant of the image, turned clockwise.
+    texels = np.zeros((2, 2, 3), np.uint8)
+    texels[1, 0] = 255
+    change = {"offset": [0, 1], "rotation": np.pi / 2, "scale": [0.5, 0.5]}
+    gltf = Gltf()
+    info = {
+        "index": gltf.texture(gltf.image(png(texels)), mag=NEAREST),
+        "extensions": {"KHR_texture_transform": change},
+    }
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(info)))
+    gltf.json["extensionsRequired"] = ["KHR_texture_transform"]
+    surface = load_surface(gltf.save(tmp_path / "a.glb"))
+    assert (surface.evaluate(surface.scatter(50)) == 1).all()
+
+
+def test_webp_images_are_read(tmp_path):
+    gltf = Gltf()
+    image = gltf.image(saved(random_image(4, 4), "WEBP", lossless=True), "image/webp")
+    texture = gltf.add("textures", extensions={"EXT_texture_webp": {"source": image}})
+    gltf.json["extensionsRequired"] = ["EXT_texture_webp"]
+    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(texture)))
+    assert_agrees(gltf.save(tmp_path / "a.glb"))
+
+
+def test_buffers_and_images_may_lie_in_files_with_blanks_and_in_other_folders(tmp_path):
+    (tmp_path / "model").mkdir()
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "maps" / "a ü.png").write_bytes(png(random_image(4, 4)))
+    assert_agrees(textured_square(tmp_path / "model" / "a.gltf", "../maps/a%20%C3%BC.png", external=True))
+
+
+def test_a_name_with_a_percent_sign_is_found_as_it_stands(tmp_path):
+    data = png(random_image(4, 4))
+    (tmp_path / "50%25.png").write_bytes(data)
+    paths = [textured_square(tmp_path / f"{n}.gltf", each) for n, each in enumerate(("50%25.png", data))]
+    surfaces = [load_surface(path) for path in paths]
+    samples = surfaces[0].scatter(100)
+    values = [surface.evaluate(samples) for surface in surfaces]
+    assert values[0].std() > 0.05
+    np.testing.assert_array_equal(*values)
+
+
+@pytest.mark.parametrize("style", ["base64", "base64 with line ends and no padding", "percent"])
+def test_images_may_be_data_uris(tmp_path, style):
+    data = png(random_image(4, 4))
+    text = base64.b64encode(data).decode()
+    uri = {
+        "base64": f"data:image/png;base64,{text}",
+        "percent": "data:image/png," + "".join(f"%{byte:02x}" for byte in data),
+    }.get(style, f"data:image/png;base64,{text[:8]}\n{text[8:].rstrip('=')}")
+    surface = load_surface(textured_square(tmp_path / "a.gltf", uri))
+    assert surface.evaluate(surface.scatter(100)).std() > 0.05
+
+
+# A normal map of one direction, leaning to the right and a little up.
+CODES = (200, 150, 220)
+UP = np.tile(np.float32([0, 0, 1]), (4, 1))
+
+
+def leaning(scale=1.0):
+    """The direction of CODES in the tangent's frame."""
+    direction = (np.array(CODES) / 255 * 2 - 1) * (scale, scale, 1)
+    return direction / np.linalg.norm(direction)
+
+
+def mapped(gltf, **info):
+    """A material with the normal map."""
+    texture = gltf.texture(gltf.image(png(np.full((1, 1, 3), CODES, np.uint8))))
+    return gltf.material(normalTexture={"index": texture} | info)
+
+
+def square(gltf, material, *, uv=SQUARE_UV, normals=UP, tangents=None):
+    attributes = {}
+    if normals is not None:
+        attributes["NORMAL"] = gltf.accessor(normals)
+    if tangents is not None:
+        attributes["TANGENT"] = gltf.accessor(tangents)
+    return gltf.primitive(uv=uv.astype(np.float32), material=material, **attributes)
+
+
+def along(*tangent):
+    return np.tile(np.float32(tangent), (4, 1))
+
+
+X, Y, Z = leaning()
+TURNED = {"extensions": {"KHR_texture_transform": {"rotation": np.pi / 2}}}
+
+
+@pytest.mark.parametrize(
+    ("info", "options", "expected"),
+    [
+        # Without tangents x runs along u and y against v.
+        ({}, {}, leaning()),
+        # The scale stretches x and y before the length is made 1.
+        ({"scale": -3.0}, {"normals": None}, leaning(-3.0)),
+        # Where the image is mirrored, so is what it shows.
+        ({}, {"uv": SQUARE_UV * (1, -1)}, leaning() * (1, -1, 1)),
+        # Coordinates turned counter-clockwise show the image turned clockwise: its right is down.
+        (TURNED, {}, [Y, -X, Z]),
+        # Tangents of the file count with their handedness, but not without normals.
+        *(({}, {"tangents": along(0, 1, 0, hand)}, [-hand * Y, X, Z]) for hand in (1, -1)),
+        ({}, {"tangents": along(0, 1, 0, 1), "normals": None}, leaning()),
+    ],
+)
+def test_a_normal_map_leans_in_the_frame_of_the_tangents(tmp_path, info, options, expected):
+    gltf = Gltf()
+    gltf.show(square(gltf, mapped(gltf, **info), **options))
+    surface = load_surface(gltf.save(tmp_path / "a.glb"))
+    found = surface.evaluate(surface.scatter(30), "normal")
+    found /= np.linalg.norm(found, axis=1, keepdims=True)
+    np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=2e-4)
+
+
+def test_each_instance_of_a_mesh_has_normals_of_its_own(tmp_path):
+    gltf = Gltf()
+    half = 0.5**0.5
+    first = gltf.show(square(gltf, mapped(gltf)))
+    mesh = gltf.json["nodes"][first]["mesh"]
+    second = gltf.add("nodes", mesh=mesh, rotation=[0, half, 0, half], translation=[5, 0, 0])
+    third = gltf.add("nodes", mesh=mesh, scale=[-1, 1, 1], translation=[20, 0, 0])
+    gltf.json["scenes"][0]["nodes"] += [second, third]
+    surface = load_surface(gltf.save(tmp_path / "a.glb"))
+    samples = surface.scatter(90)
+    place = np.searchsorted([3, 10], samples.points[:, 0])
+    expected = np.array([[X, Y, Z], [Z, Y, -X], [-X, Y, Z]])[place]
+    np.testing.assert_allclose(surface.evaluate(samples, "normal"), expected, atol=2e-4)
+
+
+def test_beside_a_normal_map_other_materials_give_their_shading_normals(tmp_path):
+    gltf = Gltf()
+    tilted = np.tile(np.float32([0.6, 0, 0.8]), (4, 1))
+    plain = gltf.material(factor=(1, 0, 0, 1))
+    gltf.show(square(gltf, mapped(gltf)))
+    gltf.show(square(gltf, plain, normals=tilted), translation=[0, 0, 1])
+    gltf.show(gltf.primitive(SQUARE[:, [2, 0, 1]]), translation=[0, 0, 5])
+    surface = load_surface(gltf.save(tmp_path / "a.glb"))
+    samples = surface.scatter(60)
+    place = np.searchsorted([0.5, 3], samples.points[:, 2])
+    expected = np.array([leaning(), [0.6, 0, 0.8], [1, 0, 0]])[place]
+    np.testing.assert_allclose(surface.evaluate(samples, "normal"), expected, atol=2e-4)
+
+
+def test_a_normal_map_that_is_not_wanted_is_not_read(tmp_path):
+    gltf = Gltf()
+    material = gltf.material(normalTexture={"index": gltf.add("textures", source=7)})
+    entry = square(gltf, material)
+    entry["attributes"]["NORMAL"] = 99
+    gltf.show(entry)
+    surface = load_surface(gltf.save(tmp_path / "a.glb"), channels=["base_color"])
+    assert [channel.name for channel in surface.channels] == ["base_color"]
+
+
+@pytest.mark.parametrize("name", ["Avocado/Avocado.gltf", "BoomBoxWithAxes/BoomBoxWithAxes.gltf"])
+def test_tangents_made_for_real_models_are_close_to_those_that_they_have(tmp_path, models, name):
+    path = models / name
+    document = json.loads(path.read_text())
+    for each in [*document["buffers"], *document["images"]]:
+        shutil.copy(path.parent / each["uri"], tmp_path)
+    for mesh in document["meshes"]:
+        for primitive in mesh["primitives"]:
+            del primitive["attributes"]["TANGENT"]
+    (tmp_path / "without.gltf").write_text(json.dumps(document))
+    given, made = (load_surface(p, channels=["normal"]) for p in (path, tmp_path / "without.gltf"))
+    samples = given.scatter(2000)
+    cosines = (given.evaluate(samples, "normal") * made.evaluate(samples, "normal")).sum(axis=1)
+    degrees = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+    assert np.percentile(degrees, 95) < 1

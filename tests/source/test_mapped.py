@@ -183,16 +183,6 @@ def test_from_outside_the_image_is_upright_and_not_mirrored(axis, kind):
             np.testing.assert_array_equal(found, QUARTERS.reshape(4, 3))
 
 
-@pytest.mark.parametrize("axis", FRAMES)
-def test_a_face_on_the_slant_has_the_side_of_a_box_that_it_looks_at_most(axis):
-    source = laid(QUARTERS, "box", "nearest", axis=axis, center=(0, 0, 0), size=2)
-    up, front = naive_mapped.AXES[axis], naive_mapped.FRONTS[axis]
-    right = np.cross(up, front)
-    point = front + 0.5 * up - 0.5 * right
-    for normal in (front + 0.9 * up, front - 0.9 * right, front):
-        assert source.at(point[None], unit(normal)[None], zeros(point[None]))[0].tolist() == [1, 0, 0]
-
-
 def test_where_normals_are_as_near_to_two_sides_rounding_does_not_decide():
     normals = unit(np.array([[1.0, 0, 1], [1, 1, 1], [1, -1, 0]]).repeat(50, axis=0))
     normals += np.random.default_rng(0).normal(size=(150, 3)) * 1e-8

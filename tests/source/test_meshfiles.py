@@ -43,15 +43,12 @@ def test_ply_colours_of_vertices_are_srgb_values(tmp_path, encoding, kind, scale
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_ply_alpha_below_1_makes_a_channel(tmp_path):
+def test_ply_alpha_below_1_makes_a_channel_and_alpha_of_0_throughout_is_left_out(tmp_path):
     codes = {name: ("uchar", [255] * 4) for name in ("red", "green", "blue", "alpha")}
     assert len(load_surface(ply(tmp_path / "a.ply", ply_square(**codes))).channels) == 1
     codes["alpha"] = ("uchar", [51, 51, 51, 51])
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**codes)))
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5), "alpha"), 0.2, atol=1e-6)
-
-
-def test_alpha_of_0_throughout_is_left_out(tmp_path):
     codes = {name: ("uchar", [128] * 4) for name in ("red", "green", "blue")}
     path = ply(tmp_path / "a.ply", ply_square(**codes, alpha=("uchar", [0] * 4)))
     with pytest.warns(ModelWarning, match="a.ply: all its colours have alpha 0"):
@@ -125,15 +122,12 @@ def test_ply_textures_are_bound_with_v_up(tmp_path, names):
         np.testing.assert_array_equal(found, expected)
 
 
-def test_ply_textures_take_precedence_over_colours(tmp_path):
+def test_ply_textures_take_precedence_over_colours_and_may_be_named_after_the_file(tmp_path):
     (tmp_path / "a.png").write_bytes(png(np.full((2, 2, 3), 204, np.uint8)))
     codes = {name: ("uchar", [192] * 4) for name in ("red", "green", "blue", "alpha")}
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**ST, **codes), comments=["TextureFile a.png"]))
     assert [form.name for form in surface.channels] == ["base_color"]
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), srgb_to_linear(0.8), rtol=1e-5)
-
-
-def test_ply_textures_may_be_named_after_the_file(tmp_path):
     (tmp_path / "square.v2_A.png").write_bytes(png(np.full((2, 2, 3), 51, np.uint8)))
     path = ply(tmp_path / "square.v2.ply", ply_square(**ST), comments=["TextureFile <this>_A.png"])
     surface = load_surface(path)
@@ -314,14 +308,11 @@ def test_triangle_strips_of_a_ply_file_are_its_faces(tmp_path, encoding):
     assert len(found) == len(expected)
 
 
-def test_numbers_may_follow_off_without_a_blank(tmp_path):
+def test_off_numbers_may_follow_without_a_blank_and_faces_go_on_to_other_lines(tmp_path):
     rows = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n"
     for head in ("OFF4 2 0", "  OFF4 2 0", "OFF 4 2 0"):
         surface = load_surface(off(tmp_path / "a.off", f"{head}\n{rows}"))
         np.testing.assert_array_equal(surface.vertices[surface.triangles], SQUARE[SQUARE_TRIANGLES])
-
-
-def test_off_faces_may_go_on_to_other_lines(tmp_path):
     points = "0 0 0\n2 0 0\n2 2 0\n0 2 0\n1 1 5\n"
     surface = load_surface(off(tmp_path / "a.off", f"OFF\n5 2 0\n{points}4 0 \n1 \n2 \n3 \n\n3 0\n1 4\n"))
     np.testing.assert_array_equal(surface.triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 4]])
@@ -394,13 +385,10 @@ def test_facets_of_binary_stl_files_have_colours(tmp_path, header, words, colors
     np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-6)
 
 
-def test_bytes_after_the_facets_of_binary_stl_files_are_passed_over(tmp_path):
+def test_bytes_after_stl_facets_are_passed_over_and_names_may_be_any_words_in_any_encoding(tmp_path):
     path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES)
     path.write_bytes(path.read_bytes() + b"\r\n")
     assert len(load_surface(path).triangles) == len(SQUARE_TRIANGLES)
-
-
-def test_names_in_stl_text_may_be_any_words_in_any_encoding(tmp_path):
     path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES, ascii=True)
     text = path.read_bytes()
     for name in ("Körper".encode("latin-1"), "Körper".encode(), b"vertex one"):

@@ -133,7 +133,7 @@ def test_what_says_nothing_is_no_channel(tmp_path, lines):
     assert stated(tmp_path, lines) == {}
 
 
-def test_colours_and_opacity_multiply_their_maps_but_others_give_way(tmp_path):
+def test_colours_and_opacity_multiply_their_maps_unless_they_are_zero_but_others_give_way(tmp_path):
     lines = "Kd .5 .5 .5\nKs .5\nKe 3 3 3\nd .5\nPr .5\nPm 0\n" + "".join(
         f"map_{key} a.png\n" for key in ("Kd", "Ks", "Ke", "d", "Pr", "Pm")
     )
@@ -143,9 +143,6 @@ def test_colours_and_opacity_multiply_their_maps_but_others_give_way(tmp_path):
     assert factors == pytest.approx(
         {"base_color": half, "specular": half, "emissive": 3, "alpha": 0.5, "roughness": 1, "metallic": 1}
     )
-
-
-def test_zero_beside_a_map_means_nothing(tmp_path):
     lines = "Kd 0 0 0\nKs 0 0 0\nKe 0 0 0\nd 0\nmap_Kd a.png\nmap_Ks a.png\nmap_Ke a.png\nmap_d a.png"
     for given in describe(tmp_path, lines).material.inputs.values():
         assert given.factor == (1.0,) * len(given.factor)
@@ -294,12 +291,9 @@ def test_materials_share_the_normals_of_one_height_map_also_of_luminance(tmp_pat
     np.testing.assert_allclose(texels(given).astype(float), normals_of_heights(heights, 1, REPEAT), atol=2)
 
 
-def test_a_coloured_bump_map_is_a_normal_map_whose_slopes_its_multiplier_scales(tmp_path):
+def test_a_coloured_bump_map_is_a_normal_map_with_scaled_slopes_and_a_normal_map_stands_before_it(tmp_path):
     for line in ("bump -bm 0.5 a.png", "norm -bm 0.5 a.png", "map_Bump -imfchan z -bm 0.5 a.png"):
         assert stated(tmp_path, line)["normal"].factor == (0.5, 0.5, 1)
-
-
-def test_a_normal_map_stands_before_a_bump_map(tmp_path):
     given = stated(tmp_path, "bump grey.png\nnorm a.png")["normal"]
     np.testing.assert_array_equal(texels(given)[..., 0], COLORS[..., 0].astype(np.uint16) * 257)
 
@@ -314,7 +308,7 @@ def test_grey_survives_the_noise_of_jpeg():
     assert not is_grey(np.array([[[0.5, 0.5, 1, 1]]], np.float32))
 
 
-def test_images_of_channels_that_nobody_wants_are_not_read(tmp_path):
+def test_images_of_channels_that_nobody_wants_are_not_read_and_missing_channels_are_refused(tmp_path):
     keys = ("map_Ks", "map_Ke", "map_Pm", "map_Pr", "map_ao", "map_d", "norm")
     lines = "map_Kd a.png\nKs red\nPr rough\nNs many\n" + "".join(f"{key} gone.png\n" for key in keys)
     path = square(tmp_path, lines)
@@ -322,9 +316,6 @@ def test_images_of_channels_that_nobody_wants_are_not_read(tmp_path):
     assert [channel.name for channel in surface.channels] == ["base_color"]
     assert "gone.png" not in surface.provenance["files"]
     assert load_surface(square(tmp_path, "map_Kd gone.png\nPr 0.5"), channels=["roughness"]).uv is not None
-
-
-def test_a_channel_that_the_materials_lack_is_refused_with_those_they_have(tmp_path):
     path = square(tmp_path, "map_Kd a.png\nKe 0 0 0\nmap_Pr gone.png\nNs 10\nKs 1 1 1")
     with pytest.raises(ModelError, match=r"a\.obj has no channel metallic; it has base_color, roughness$"):
         load_surface(path, channels=["metallic"])
@@ -359,7 +350,7 @@ def test_a_bad_line_is_named(tmp_path, line, error, message):
         load_surface(square(tmp_path, line))
 
 
-def test_every_file_read_is_in_the_provenance_by_its_name_beside_the_model(tmp_path):
+def test_every_file_read_is_in_the_provenance_by_its_name_beside_the_model_or_its_name_alone(tmp_path):
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "c.png").write_bytes(png(COLORS))
     path = square(tmp_path, "map_Kd maps/c.png\nmap_Pr a.png\nmap_ao C:\\work\\a.png")
@@ -367,9 +358,6 @@ def test_every_file_read_is_in_the_provenance_by_its_name_beside_the_model(tmp_p
     expected = {name: hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() for name in names}
     assert json.loads(load_surface(path).provenance["files"]) == expected
     assert "files" not in load_surface(obj(tmp_path / "b.obj", OBJ_SQUARE + FACES)).provenance
-
-
-def test_files_elsewhere_go_by_their_name_alone(tmp_path):
     files = ImageFiles(tmp_path / "models")
     files.note(tmp_path / "shared" / "wood.png", b"")
     assert list(files.files) == ["wood.png"]

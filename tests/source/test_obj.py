@@ -1,4 +1,4 @@
-"""OBJ and MTL against an independent reader, and what is refused."""
+"""OBJ and MTL against an independent reader, polygons that are cut, and what is refused."""
 
 import numpy as np
 import pytest
@@ -74,7 +74,7 @@ def test_colours_of_vertices_count_only_where_a_material_has_no_image(tmp_path):
     np.testing.assert_allclose(surface.evaluate(samples), np.repeat(expected[:, None], 3, 1), rtol=1e-4)
 
 
-def test_vertices_without_a_colour_beside_others_are_white(tmp_path):
+def test_vertices_without_a_colour_beside_others_are_white_and_a_fourth_number_is_no_colour(tmp_path):
     path = obj(
         tmp_path / "a.obj",
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5 0 0 0\nv 6 5 5 0 0 0\nv 5 6 5 0 0 0\nf 1 2 3\nf 4 5 6\n",
@@ -82,9 +82,6 @@ def test_vertices_without_a_colour_beside_others_are_white(tmp_path):
     surface = load_surface(path)
     samples = surface.scatter(50)
     np.testing.assert_array_equal(surface.evaluate(samples)[:, 0], samples.triangles == 0)
-
-
-def test_a_fourth_number_of_vertices_is_no_colour(tmp_path):
     surface = load_surface(obj(tmp_path / "a.obj", "v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 0.5\nf 1 2 3\n"))
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
@@ -229,6 +226,8 @@ def test_without_its_library_a_model_is_white_with_a_warning(tmp_path):
     ):
         surface = load_surface(path)
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
+    with pytest.raises(ModelWarning, match="gone"):  # as an error it stays what it is
+        load_surface(path)
     with pytest.warns(ModelWarning, match="gone"):
         surface = load_surface(path, sources={"base_color": (1.0, 0.0, 0.5)})
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), [[1, 0, 0.5]] * 5)
@@ -238,7 +237,7 @@ def test_without_its_library_a_model_is_white_with_a_warning(tmp_path):
         load_surface(obj(tmp_path / "b.obj", lines))
 
 
-def test_faces_of_a_material_that_is_not_defined_are_white_with_a_warning(tmp_path):
+def test_faces_of_materials_that_are_not_defined_are_white_with_one_warning(tmp_path):
     lines = OBJ_SQUARE + "usemtl red\nf 1 2 3\nusemtl wood\nf 1 3 4\n"
     path = obj(tmp_path / "a.obj", lines, "newmtl red\nKd 1 0 0\n")
     with pytest.warns(
@@ -247,20 +246,11 @@ def test_faces_of_a_material_that_is_not_defined_are_white_with_a_warning(tmp_pa
         surface = load_surface(path)
     samples = surface.scatter(50)
     np.testing.assert_array_equal(surface.evaluate(samples)[:, 1], samples.triangles == 1)
-
-
-def test_many_materials_that_are_not_defined_are_one_warning(tmp_path):
     lines = "".join(f"usemtl m{number}\nf 1 2 3\n" for number in range(9))
     with pytest.warns(ModelWarning) as said:
         load_surface(obj(tmp_path / "a.obj", OBJ_SQUARE + lines, "newmtl other\n"))
     assert len(said) == 1
     assert "materials m0, m1, m2, m3, m4 and 4 more, which are white" in str(said[0].message)
-
-
-def test_a_warning_that_is_an_error_stays_what_it_is(tmp_path):
-    path = obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + "usemtl wood\n" + FACES)
-    with pytest.raises(ModelWarning, match="gone"):
-        load_surface(path)
 
 
 def test_coordinates_may_lack_v(tmp_path):
@@ -354,12 +344,9 @@ def test_bad_normals_count_below_normal_maps_alone(tmp_path, lines, message):
     load_surface(tmp_path / "a.obj", channels=["base_color"])
 
 
-def test_normals_that_are_counted_and_left_out_are_none(tmp_path):
+def test_normals_that_are_left_out_are_none_and_those_of_no_direction_are_those_of_their_faces(tmp_path):
     path = obj(tmp_path / "a.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1//1 2//2 3//4\n")
     assert load_surface(path, normals=True).frames is None
-
-
-def test_normals_that_are_no_directions_are_those_of_their_faces(tmp_path):
     lines = OBJ_SQUARE + "vn 0 0 0\nvn nan 0 1\nusemtl wood\nf 1/1/1 2/2/2 3/3/1\n"
     surface = plain_normals(tmp_path, lines)
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5), "normal"), [[0, 0, 1]] * 5, atol=1e-4)
@@ -390,3 +377,66 @@ def test_every_real_model_loads_or_says_why_not(models):
                 load_surface(path)
         else:
             assert [form.name for form in load_surface(path).channels] == ["base_color"], path
+
+
+def test_convex_polygons_become_fans(tmp_path):
+    lines = "v 0 0 0\nv 2 0 0\nv 3 1 0\nv 2 2 0\nv 0 2 0\nf 1 2 3 4 5\nf 1 2 4 5\nf 1 2\nf 1\n"
+    surface = assert_agrees(obj(tmp_path / "a.obj", lines))
+    np.testing.assert_array_equal(surface.triangles, [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 1, 3], [0, 3, 4]])
+
+
+def crescent(corners):
+    """A "C" of so many corners, whose opening is to the right."""
+    angles = np.linspace(0.15, 1.85, corners // 2) * np.pi
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return np.concatenate([ring, 0.5 * ring[::-1]])
+
+
+def shoelace(ring):
+    """The area of a polygon without holes."""
+    after = np.roll(ring, -1, axis=0)
+    return float(abs((ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]).sum()) / 2)
+
+
+@pytest.mark.parametrize(
+    "ring",
+    [
+        np.array([(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)]),
+        np.array([(0, 0), (4, 2), (0, 4), (1, 2)])[::-1],
+        np.array([(0, 0), (4, 0), (4, 4), (3, 1), (2, 4), (1, 1), (0, 4)]),
+        crescent(514),
+        crescent(3000)[::-1],
+        # Corners twice; a hole reached by a slit; two parts that touch at a corner; a spike of no area.
+        np.array([(0, 0), (3, 0), (3, 1), (1, 1), (1, 1), (1, 1), (1, 3), (0, 3), (0, 3)]),
+        np.array([(0, 0), (4, 0), (4, 4), (0, 4), (0, 0), (1, 1), (1, 3), (3, 3), (3, 1), (1, 1)]),
+        np.array([(0, 0), (2, 0), (1, 1), (2, 2), (0, 2), (1, 1)]),
+        np.array([(0, 0), (3, 0), (3, 3), (5, 5), (3, 3), (0, 3)]),
+    ],
+    ids=["L", "dart", "crown", "C of 514", "C of 3000", "repeated", "hole", "touching", "spike"],
+)
+@pytest.mark.parametrize("turned", [0, 1, 2, 3, 4, 5])
+def test_a_polygon_of_any_size_and_form_is_covered_once(tmp_path, ring, turned):
+    ring = np.roll(ring, turned, axis=0)
+    lines = "".join(f"v {x!r} {y!r} {2 * x!r}\n" for x, y in ring.tolist())
+    path = obj(tmp_path / "a.obj", lines + "f " + " ".join(str(i + 1) for i in range(len(ring))) + "\n")
+    surface = load_surface(path)
+    assert len(surface.triangles) == len(ring) - 2
+    np.testing.assert_allclose(surface.areas().sum(), shoelace(ring) * 5**0.5, rtol=1e-9)
+
+
+def test_a_polygon_that_is_not_flat_is_cut_along_its_area_vector(tmp_path):
+    angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) * (1 + 0.3 * np.cos(5 * angles))[:, None]
+    lines = "".join(f"v {x} {y} {0.1 * np.cos(2 * a)}\n" for (x, y), a in zip(ring, angles, strict=True))
+    surface = load_surface(obj(tmp_path / "a.obj", lines + f"f {' '.join(map(str, range(1, 41)))}\n"))
+    seen = np.cross(*np.moveaxis(np.diff(surface.vertices[surface.triangles], axis=1), 1, 0))[:, 2] / 2
+    assert (seen >= 0).all()
+    np.testing.assert_allclose(seen.sum(), shoelace(ring))
+
+
+def test_large_polygons_that_are_not_finite_are_refused_and_those_that_cross_themselves_cut(tmp_path):
+    lines = "v nan 0 0\n" + "".join(f"v {x} {y} 0\n" for x, y in crescent(600))
+    with pytest.raises(ModelError, match="not all finite"):
+        load_surface(obj(tmp_path / "a.obj", lines + f"f {' '.join(map(str, range(1, 601)))}\n"))
+    lines = "v 0 0 0\nv 1 1 0\nv 1 0 0\nv 0 1 0\nv 2 2 0\nf 1 2 3 4\nf 1 2 3 4 5\nf 1 1 1 1 1\n"
+    assert len(load_surface(obj(tmp_path / "a.obj", lines)).triangles) == 2 + 3 + 3

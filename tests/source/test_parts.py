@@ -18,13 +18,10 @@ from tests.make.solids import colored, cube, inside_out, open_cube, sphere, torn
 from tests.oracles.naive_parts import components, distance, solid
 
 
-def test_cubes_that_touch_share_nothing_and_are_too_near_for_any_margin():
+def test_cubes_that_touch_share_nothing_and_are_too_near_for_any_margin_also_vertex_on_vertex():
     surface = colored(cube([0, 0, 0]), cube([1, 0.25, 0.25]))
     assert surface.overlapping_parts().pairs == ()
     assert surface.overlapping_parts(1e-9).pairs == (Overlap(0, 1, 0.0, 0.0),)
-
-
-def test_boxes_that_stand_on_each_other_vertex_on_vertex_are_two_parts():
     surface = colored(cube([0, 0, 0]), cube([0, 0, 1]))
     found = surface.overlapping_parts(0.1)
     assert (found.n_parts, found.unchecked) == (2, ())
@@ -92,18 +89,12 @@ def test_what_was_found_reads_as_lines():
     assert "their surfaces do not cross" in str(touching.overlapping_parts())
 
 
-def test_parts_are_those_at_rest():
+def test_parts_are_those_at_rest_of_vertices_in_use_and_a_negative_margin_is_refused():
     surface = colored(cube([0, 0, 0]), cube([0.5, 0, 0]))
     apart = surface.rest + np.repeat([[0.0, 0, 0], [9.0, 0, 0]], 8, axis=0)
     assert surface.with_rest(apart).overlapping_parts(1.0).pairs == ()
-
-
-def test_a_negative_margin_is_refused():
     with pytest.raises(ArgumentError, match="margin must be from 0"):
         colored(cube([0, 0, 0])).overlapping_parts(-1.0)
-
-
-def test_vertices_that_nothing_uses_are_in_no_part():
     points, triangles = cube([0, 0, 0])
     surface = Surface.from_arrays(np.vstack([points, [[np.pi, 0, 0]]]), triangles)
     assert surface.overlapping_parts(1.0).n_parts == 1

@@ -96,13 +96,10 @@ def test_colours_of_every_storage_become_srgb_codes(tmp_path, dtype, space):
     assert np.abs(colors - np.rint(np.array([0, half, 1]) * 255)).max() <= 1
 
 
-def test_alpha_of_more_bits_becomes_bytes(tmp_path):
+def test_alpha_of_more_bits_becomes_bytes_and_a_texture_without_colours_gives_bare_points(tmp_path):
     texture = texture_of((BASE_COLOR, ALPHA._replace(dtype="float32")), values=0.25)
     write_points(texture, tmp_path / "points.ply")
     assert set(read(tmp_path / "points.ply")["alpha"]) == {64}
-
-
-def test_a_texture_without_colours_gives_bare_points(tmp_path):
     write_points(texture_of((ChannelFormat("roughness", 1, "data"),)), tmp_path / "points.ply")
     assert read(tmp_path / "points.ply").dtype.names == ("x", "y", "z", "nx", "ny", "nz")
 

@@ -87,14 +87,11 @@ def test_each_triangle_of_a_mesh_of_triangles_is_a_polygon(tmp_path):
     assert loops_of(surface) == {0: [0, 1, 2], 1: [3, 2, 1]}
 
 
-def test_what_is_made_of_a_surface_keeps_its_polygons(tmp_path):
+def test_what_is_made_of_a_surface_keeps_its_polygons_also_parts_moved_apart(tmp_path):
     surface = load_surface(written(tmp_path, "obj"))
     moved = surface.with_rest(surface.rest + 1.0)
     for other in (moved, surface.with_sources({"roughness": 0.5})):
         assert loops_of(other) == CORNERS_OF
-
-
-def test_parts_moved_apart_keep_their_polygons(tmp_path):
     lines = "".join(f"v {x} {y} {z}\n" for z in (0, 0.01) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)))
     surface = load_surface(obj(tmp_path / "a.obj", lines + "f 1 2 3 4\nf 5 6 7 8\n"))
     apart = surface.separated(0.1)

@@ -248,19 +248,6 @@ def test_bake_tells_of_animations_that_it_does_not_write(tmp_path, cli):
         assert ("its animations are not written" in told) == (name == "moving")
 
 
-def test_a_pose_is_an_option_of_each_command_that_reads_models(tmp_path, cli):
-    file = str(moving("rotation", "LINEAR").save(tmp_path / "a.glb"))
-    out = str(tmp_path / "a.octex")
-    for words in (
-        ["convert", file, out],
-        ["draw", file, f"{tmp_path}/v.png", "--as", "paint", "--camera-out", str(tmp_path / "c.json")],
-    ):
-        assert "has no animation 'B'; it has A (0 to 2.0 s)" in cli.refusal(*words, "--pose", "B@1")
-    assert "--pose applies to one model" in cli.refusal(file, out, "--also", file, "--pose", "A@1")
-    refusal = cli.refusal(f"{tmp_path}/f.py:g", out, "--pose", "A@1")
-    assert "--pose applies to meshes, not to functions" in refusal
-
-
 def test_the_fox_runs_as_a_naive_reader_has_it(models):
     path = models / "animated" / "Fox.glb"
     surface = octex.load_surface(path, pose="Run@0.5")

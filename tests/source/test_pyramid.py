@@ -140,15 +140,12 @@ def test_turning_the_model_changes_no_footprint():
     np.testing.assert_allclose(read(turned, points, 0.2), read(plain, points, 0.2), atol=1e-4)
 
 
-def test_triangles_without_area_are_read_at_the_point():
+def test_triangles_without_area_and_coordinates_without_spread_are_read_at_the_point():
     plain = square(random_image(8, 8))
     points = np.random.default_rng(0).random((20, 2))
     for rest in (plain.vertices * 0, plain.vertices * [1, 0, 0], plain.vertices[[0, 0, 2, 3]]):
         flat = plain.with_rest(rest)
         np.testing.assert_array_equal(read(flat, points, 0.3), read(plain, points, 0.0))
-
-
-def test_coordinates_without_spread_are_read_at_the_point():
     surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=np.full((4, 2), 0.3), image=random_image(8, 8))
     points = np.random.default_rng(0).random((20, 2))
     np.testing.assert_array_equal(read(surface, points, 0.3), read(surface, points, 0.0))

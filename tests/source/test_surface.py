@@ -83,7 +83,7 @@ def test_a_plain_surface_is_white_and_introduces_itself():
     assert repr(square(name="corner")) == "<Surface 'corner' of 2 triangles with base_color>"
 
 
-def test_colours_of_vertices_are_interpolated_in_linear_light():
+def test_colours_of_vertices_are_interpolated_in_linear_light_and_those_of_faces_constant():
     codes = np.array([[0, 0, 0], [255, 255, 255], [255, 0, 0], [0, 0, 128]], np.uint8)
     surface = square(colors=codes, factor=(1, 1, 0.5))
     samples = surface.scatter(50)
@@ -94,9 +94,6 @@ def test_colours_of_vertices_are_interpolated_in_linear_light():
     np.testing.assert_allclose(deep.evaluate(samples), expected, atol=1e-6)
     light = square(colors=srgb_to_linear(codes / 255), factor=(1, 1, 0.5))
     np.testing.assert_allclose(light.evaluate(samples), expected, atol=1e-6)
-
-
-def test_colours_of_faces_are_constant_over_each():
     colors = np.array([[1.0, 0, 0], [0, 0.5, 1]])
     surface = square(face_colors=colors)
     samples = surface.scatter(50)

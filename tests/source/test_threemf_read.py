@@ -194,15 +194,12 @@ def test_damaged_packages_are_refused_in_one_line(tmp_path, model, message):
         octex.load_surface(tmp_path / "bad.3mf")
 
 
-def test_a_small_package_that_unpacks_to_much_is_refused(tmp_path):
+def test_small_packages_that_unpack_to_much_and_components_that_multiply_are_refused(tmp_path):
     path = tmp_path / "a.3mf"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         file.writestr("3D/3dmodel.model", b" " * 3_000_000)
     with pytest.raises(ModelError, match=r"3D/3dmodel.model unpacks to 3,000,000 bytes, more than 200 times"):
         octex.load_surface(path)
-
-
-def test_components_that_multiply_are_refused(tmp_path):
     objects = [square(1, '<triangle v1="0" v2="1" v3="2"/>')]
     for number in range(2, 42):
         twice = f'<component objectid="{number - 1}"/>' * 2

@@ -79,11 +79,9 @@ def test_layers_that_another_program_has_written_are_kept_too(tmp_path):
     assert session.close() == ""
 
 
-def test_a_save_that_fails_leaves_the_version_of_the_other_program(tmp_path, monkeypatch):
-    output = tmp_path / "out.octex"
-    session = Session(*canvas(), output)
+def test_a_save_that_fails_leaves_the_version_of_the_other_program(session, tmp_path, monkeypatch):
     session.take(stroke(1))
-    other = touched(output)
+    other = touched(tmp_path / "out.octex")
 
     def full(*_):
         raise OutputError("no room")
@@ -92,8 +90,7 @@ def test_a_save_that_fails_leaves_the_version_of_the_other_program(tmp_path, mon
         patched.setattr(octex.OctreeTexture, "save", full)
         take(session, plain("save", 2, replace=True))
     assert session.shown.status["error"] == "no room"
-    assert output.read_bytes() == other
-    session.close()
+    assert (tmp_path / "out.octex").read_bytes() == other
 
 
 @pytest.mark.parametrize("file", ["output", "opened"])
@@ -132,17 +129,14 @@ def test_the_version_of_another_program_is_taken_as_a_step(file, tmp_path):
     again.close()
 
 
-def test_a_version_that_cannot_be_taken_changes_nothing(tmp_path):
+def test_a_version_that_cannot_be_taken_changes_nothing(session, tmp_path):
     output = tmp_path / "out.octex"
-    session = Session(*canvas(), output)
     take(session, stroke(1))
     before = session.shown.texture
-    with pytest.raises(ArgumentError, match=r"out.octex: No such file"):
-        session.take(plain("take", 2, file="output"))
-    with pytest.raises(ArgumentError, match="was opened without a texture"):
-        session.take(plain("take", 2, file="opened"))
-    small = ball(12, 0.5)
-    octex.convert(small, depth=3).save(output)
+    for file, why in (("output", r"out.octex: No such file"), ("opened", "was opened without a texture")):
+        with pytest.raises(ArgumentError, match=why):
+            session.take(plain("take", 2, file=file))
+    octex.convert(ball(12, 0.5), depth=3).save(output)
     take(session, plain("take", 2, file="output"))
     assert "out.octex cannot be taken: " in session.shown.status["error"]
     assert "the texture belongs to another model" in session.shown.status["error"]
@@ -151,7 +145,6 @@ def test_a_version_that_cannot_be_taken_changes_nothing(tmp_path):
     assert "out.octex cannot be taken: out.octex: " in session.shown.status["error"]
     assert session.shown.texture is before
     assert session.shown.status["done"] == 1
-    session.close()
 
 
 def test_pages_ask_when_the_texture_which_was_opened_has_changed(tmp_path, monkeypatch):
@@ -271,18 +264,24 @@ def test_the_page_asks_which_version_to_keep_and_keeps_it(browser, tmp_path):
 
 
 def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(studio, page):
+    def finish(page):
+        page.mouse.move(left + 40, top, steps=3)
+        page.mouse.up()
+
     studio.drag(page, (-30, -20), (0, -20))
     studio.is_done(page)
     before = imaged(page)
     left, top = middle(page)
-    page.mouse.move(left, top)
-    page.mouse.down()
-    page.mouse.move(left + 20, top)
-    lose_gpu(page)
-    page.mouse.move(left + 40, top, steps=3)
-    page.mouse.up()
-    restore_gpu(page)
-    assert (imaged(page) == before).all()
+    for first, then in ((finish, restore_gpu), (restore_gpu, finish)):
+        page.mouse.move(left, top)
+        page.mouse.down()
+        page.mouse.move(left + 20, top)
+        lose_gpu(page)
+        first(page)
+        then(page)
+        assert page.evaluate("[viewer.painting.pen, viewer.painting.strokes.current]") == [None, None]
+        assert page.evaluate("viewer.painting.commands.waiting.length") == 0
+        assert (imaged(page) == before).all()
     studio.drag(page, (0, 20), (30, 20))
     studio.is_done(page)
     assert studio.session.shown.status["done"] == 2

@@ -178,16 +178,6 @@ def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_
     assert sorted(each.name for each in tmp_path.iterdir()) == ["more.octex", "out.layers.octex", "out.octz"]
 
 
-def test_a_file_of_layers_that_is_there_is_not_replaced_without_force(tmp_path, capsys):
-    texture, surface = canvas()
-    texture.save(tmp_path / "ball.octex")
-    octex.write_model(surface, tmp_path / "ball.glb")
-    (tmp_path / "out.layers.octex").write_bytes(b"mine")
-    words = ["view", *(str(tmp_path / name) for name in ("ball.octex", "ball.glb")), "--paint"]
-    assert main([*words, str(tmp_path / "out.octex")]) == ExitCode.REFUSED
-    assert "out.layers.octex" in capsys.readouterr().err
-
-
 def test_of_a_file_with_layers_that_a_command_edits_nothing_is_lost(tmp_path, monkeypatch, capfd):
     texture, surface = canvas()
     layers = octex.Layers(texture, surface)

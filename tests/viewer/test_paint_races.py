@@ -3,7 +3,7 @@
 import threading
 
 from octex.viewer import answers
-from tests.make.browser import lose_gpu, opened, restore_gpu, sharp
+from tests.make.browser import opened, sharp
 from tests.make.browser import served as serving
 from tests.make.studio import SIZE, Studio, middle
 from tests.viewer.test_session import plain
@@ -114,18 +114,6 @@ def test_a_command_is_sent_again_after_a_refusal_that_breaks_off(studio, page):
     studio.drag(page, (-20, 0), (20, 0))
     studio.is_done(page)
     assert page.evaluate("messages") == ["1 change waits to be sent: Busy", ""]
-    assert page.evaluate("viewer.painting.status.done") == 1
-
-
-def test_a_stroke_that_is_drawn_while_the_gpu_is_lost_is_cancelled(studio, page):
-    press(page)
-    lose_gpu(page)
-    restore_gpu(page)
-    assert page.evaluate("[viewer.painting.pen, viewer.painting.strokes.current]") == [None, None]
-    release(page)
-    assert page.evaluate("viewer.painting.commands.waiting.length") == 0
-    studio.drag(page, (-20, 0), (20, 0))
-    studio.is_done(page)
     assert page.evaluate("viewer.painting.status.done") == 1
 
 

@@ -441,7 +441,7 @@ def test_no_two_modules_of_the_page_have_a_name_in_common():
     assert len(names) > 20
 
 
-def test_octex_view_writes_pages(made, model, cli):
+def test_octex_view_writes_pages_also_of_a_folder_of_parts(made, model, cli, tmp_path):
     page = made.with_name("page.html")
     told = cli.facts("view", made, model, page, "--quiet")
     assert (told["bytes"], told["notes"]) == (page.stat().st_size, [])
@@ -450,9 +450,6 @@ def test_octex_view_writes_pages(made, model, cli):
     assert not re.search(r"(?:src|href)=.?https?:|^import ", text, re.MULTILINE)
     cli.result("view", made, page, "--force", "--quiet", "--max-size", "500kB")
     assert 'id="data-0-mesh"' not in page.read_text("utf-8")
-
-
-def test_octex_view_writes_a_page_of_a_folder_of_parts(tmp_path, cli):
     textures, _ = two_parts(tmp_path)
     textures.save(tmp_path / "set")
     cli.result("view", tmp_path / "set", tmp_path / "two.obj", tmp_path / "set.html", "--quiet")

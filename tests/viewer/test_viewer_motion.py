@@ -81,14 +81,11 @@ def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path):
     assert motion.faults[0] in notes
 
 
-def test_what_has_no_animation_or_a_broken_skin_has_no_motion(tmp_path):
+def test_of_a_broken_skin_and_without_animations_there_is_no_motion_but_a_still_page(tmp_path, cli):
     with pytest.raises(ModelError, match="is moved by joint 3"):
         load_motion(broken(NO_SUCH_JOINT).save(tmp_path / "a.glb"))
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     assert load_motion(tmp_path / "a.obj") is None
-
-
-def test_a_still_page_is_written_of_a_model_whose_skin_is_broken(tmp_path, cli):
     file = broken(NO_SUCH_JOINT).save(tmp_path / "a.glb")
     octex.convert(octex.load_surface(file), depth=2).save(tmp_path / "a.octex")
     told = cli.result("view", tmp_path / "a.octex", file, tmp_path / "a.html")

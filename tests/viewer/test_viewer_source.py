@@ -95,7 +95,7 @@ def droid():
     return octex.convert(surface, depth=6), surface
 
 
-def test_images_are_halved_until_they_fit(droid, tmp_path):
+def test_images_are_halved_until_they_fit_and_a_page_fits_the_size_that_its_refusal_names(droid, tmp_path):
     texture, surface = droid
     maps = maps_of(surface, small=True)
     assert maps is not None
@@ -108,9 +108,6 @@ def test_images_are_halved_until_they_fit(droid, tmp_path):
     assert smaller.notes == ["source: images at 1/2 of their size"]
     assert write_page(texture, tmp_path / "a.html", surface, max_size=500_000)
     assert (tmp_path / "a.html").stat().st_size <= 500_000
-
-
-def test_a_page_with_images_fits_the_size_that_its_refusal_names(droid, tmp_path):
     (texture, surface), page = droid, tmp_path / "a.html"
     with pytest.raises(ArgumentError, match="even without any level; allow ") as caught:
         write_page(texture, page, surface, max_size=1000)

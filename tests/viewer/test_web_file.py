@@ -16,36 +16,13 @@ import octex
 from octex.arrays import bit_counts
 from octex.cli.main import main
 from octex.tree.children import masks_of
-from octex.tree.layout import FACING_FLAGS
-from octex.viewer.export import write_page
 from octex.viewer.mesh import packed_mesh
-from tests.conftest import needs_jit
 from tests.make.painted import ball
 from tests.make.small_surfaces import sheet
 from tests.oracles.web_file import WebFile
 
 GOLDEN = Path(__file__).parents[1] / "golden"
 VIEWER = Path(octex.__file__).parent / "viewer"
-
-
-@needs_jit
-@pytest.mark.parametrize("max_error", [None, 8.0])
-def test_a_web_file_holds_the_texture(tmp_path, max_error):
-    surface = ball(24).with_sources(
-        {"base_color": lambda p: 0.5 + 0.4 * np.sin(7 * p), "roughness": lambda p: 0.5 + 0.3 * p[:, :1]}
-    )
-    texture = octex.convert(surface, depth=5, max_error=max_error)
-    write_page(texture, tmp_path / "ball.octw", surface)
-    found = WebFile(tmp_path / "ball.octw")
-    assert (found.header["depth"], found.header["size"]) == (5, texture.placement.size)
-    assert len(found.parents) == texture.tree.n_cells
-    assert len(found.leaves()) == texture.tree.n_leaves
-    arrays = texture.tree.arrays
-    np.testing.assert_array_equal(np.array(found.flags) & FACING_FLAGS, arrays.flags & FACING_FLAGS)
-    nodes = sorted(found.areas)
-    np.testing.assert_array_equal([found.areas[cell] for cell in nodes], arrays.areas[nodes])
-    for name, channel in texture.channels.items():
-        np.testing.assert_array_equal(found.values[name], channel.values)
 
 
 def test_the_command_writes_it_with_and_without_a_model(tmp_path):
