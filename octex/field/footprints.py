@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Floats, Int32s, Int64s
+from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
 from octex.field.splines import LINEAR
 from octex.jit import inlined, kernel
 from octex.tree.layout import MAX_DEPTH
@@ -64,7 +64,7 @@ class Probes(NamedTuple):
     shares: Float32s  # (m,)   1 in sum for each owner, over all levels
     slopes: Float32s = NO_SLOPES  # (m, 3) or (0, 3)   derivatives of the shares in texture space
 
-    def of(self, rows: Int64s | Bools | slice) -> Probes:
+    def of(self, rows: Int64s | slice) -> Probes:
         """Select rows."""
         slopes = self.slopes[rows] if self.slopes.size else self.slopes
         return Probes(self.points[rows], self.owners[rows], self.shares[rows], slopes)
@@ -111,6 +111,7 @@ def long_footprints(
     return Footprints(widths, lengths, along, across, sharpness)
 
 
+@kernel
 def passed_on(
     probes: Probes, passed: Float32s, passed_slopes: Float32s, least: np.float32, more: Probes
 ) -> Probes:
@@ -119,38 +120,57 @@ def passed_on(
     ``passed_slopes`` are the derivatives of ``passed``, where probes have slopes. A probe of the same owner
     at the same point takes the share instead. Owners ascend in all arguments and in the result.
     """
-    new = Probes(probes.points, probes.owners, np.zeros_like(probes.shares), np.zeros_like(probes.slopes))
-    is_new = _pass_on(probes, passed, passed_slopes, least, more, new)
-    columns: list[Array] = [np.concatenate(pair) for pair in zip(new.of(is_new), more, strict=True)]
-    together = Probes(*columns)
-    return together.of(np.argsort(together.owners, kind="stable"))
-
-
-@kernel
-def _pass_on(
-    probes: Probes, passed: Float32s, passed_slopes: Float32s, least: np.float32, more: Probes, new: Probes
-) -> Bools:
-    """Add shares to probes in ``more`` at the same points, else write them to ``new``; return which are."""
-    is_new = np.zeros(passed.size, np.bool_)
-    begin, n_more, points = 0, more.shares.size, more.points
+    gradient = probes.slopes.shape[0] > 0
+    count = n_more = more.shares.size
     for n in range(passed.size):
-        if not passed[n] > least:
+        count += passed[n] > least
+    points, owners = np.empty((count, 3), probes.points.dtype), np.empty(count, np.int32)
+    shares, slopes = np.empty(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
+    at = m = 0
+    for n in range(passed.size + 1):
+        is_last = n == passed.size
+        if not is_last and not passed[n] > least:
             continue
-        owner, x, y, z = probes.owners[n], probes.points[n, 0], probes.points[n, 1], probes.points[n, 2]
-        while begin < n_more and more.owners[begin] < owner:
-            begin += 1
-        at, target = begin, more
-        while at < n_more and more.owners[at] == owner:
-            if points[at, 0] == x and points[at, 1] == y and points[at, 2] == z:
-                break
-            at += 1
-        if at == n_more or more.owners[at] != owner:
-            is_new[n], at, target = True, n, new
-        target.shares[at] += probes.shares[n] * passed[n]
-        for axis in range(3 if probes.slopes.shape[0] > 0 else 0):
+        while m < n_more and (is_last or more.owners[m] < probes.owners[n]):
+            for axis in range(3 if gradient else 0):
+                slopes[at, axis] = more.slopes[m, axis]
+            at = _write_probe(more, m, more.shares[m], points, owners, shares, at)
+            m += 1
+        if is_last:
+            break
+        share, same = probes.shares[n] * passed[n], m
+        while same < n_more and more.owners[same] == probes.owners[n] and not _is_same(more, same, probes, n):
+            same += 1
+        is_there = same < n_more and more.owners[same] == probes.owners[n]
+        for axis in range(3 if gradient else 0):
             slope = probes.slopes[n, axis] * passed[n] + probes.shares[n] * passed_slopes[n, axis]
-            target.slopes[at, axis] += slope
-    return is_new
+            if is_there:
+                more.slopes[same, axis] += slope
+            else:
+                slopes[at, axis] = slope
+        if is_there:
+            more.shares[same] += share
+        else:
+            at = _write_probe(probes, n, share, points, owners, shares, at)
+    return Probes(points[:at], owners[:at], shares[:at], slopes[:at])
+
+
+@inlined
+def _is_same(probes: Probes, n: int, others: Probes, m: int) -> bool:
+    """Return whether two probes are at the same point."""
+    a, b = probes.points, others.points
+    return bool((a[n, 0] == b[m, 0]) & (a[n, 1] == b[m, 1]) & (a[n, 2] == b[m, 2]))
+
+
+@inlined
+def _write_probe(
+    probes: Probes, n: int, share: np.float32, points: Floats, owners: Int32s, shares: Float32s, at: int
+) -> int:
+    """Write a probe with a share; return the end of the list."""
+    for axis in range(3):
+        points[at, axis] = probes.points[n, axis]
+    owners[at], shares[at] = probes.owners[n], share
+    return at + 1
 
 
 @inlined
@@ -212,7 +232,13 @@ def _steps(along: float) -> int:
 
 @kernel
 def _count(
-    shape: Footprints, levels: Float32s, first: int, depth: int, rows: int, least: float, counts: Int64s
+    shape: Footprints,
+    levels: Float32s,
+    first: int,
+    depth: int,
+    rows: int,
+    least: float,
+    counts: Int64s,
 ) -> int:
     """Count probes by level (depth + 1,) from point ``first`` on, while they fit; return the end."""
     total = 0
