@@ -38,6 +38,7 @@ from octex.tree.search import Positions, nearest_cells
 _WALKED = 24
 NO_BYTES = np.empty(0, np.uint8)
 NO_VECTORS = np.empty((0, 3), np.float32)
+_NO_DOUBLES = np.empty((0, 3))
 _NO_ROWS: Uint8s = np.empty((1, 1), np.uint8)
 #: The part of probes that mixes opposite facings, and its derivatives; empty if not wanted.
 Passed = tuple[Float32s, Float32s]
@@ -51,6 +52,12 @@ class NotFiniteError(ValueError):
     def __init__(self, row: int) -> None:
         super().__init__(f"points[{row}] is not finite")
         self.row = row
+
+
+def positions(points: Floats) -> Positions:
+    """Return rest positions (n, 3) as kernels take them: `Positions.of` on read-only arrays too."""
+    points = unlocked(points)
+    return Positions(points, _NO_DOUBLES) if points.itemsize == 4 else Positions(NO_VECTORS, points)
 
 
 class Field:
@@ -205,7 +212,7 @@ class Finder:
             block = slice(begin, begin + BLOCK)
             block_points = points[block]
             self.coords = memory[: len(block_points)]
-            fault = to_coordinates(Positions.of(block_points), *self._placement, self.coords)
+            fault = to_coordinates(positions(block_points), *self._placement, self.coords)
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
             taps = self.find(self.coords, rows)
@@ -277,7 +284,7 @@ class Finder:
     def _nearest(self, coords: Float64s, taps: Taps) -> Taps:
         tree, n = self.field.tree, len(coords)
         cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
-        nearest_cells(tree.arrays, Positions.of(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
+        nearest_cells(tree.arrays, positions(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
         taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
         taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
         return taps

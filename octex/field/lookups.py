@@ -24,7 +24,7 @@ from octex.field.blend import (
     weigh_by_alpha,
 )
 from octex.field.bricks import NUMBER_BITS, SORTED, Targets, look_up_crowded, new_bricks
-from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError
+from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError, positions
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
 from octex.field.taps import Codes, TapList, Taps, to_coordinates
@@ -34,7 +34,7 @@ from octex.jit import direct, unlocked
 from octex.tree.morton import encode_cells
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement
-from octex.tree.search import Positions, keys_of, put_rows
+from octex.tree.search import keys_of, put_rows
 
 #: Fewer points are not sorted.
 _LEAST_SORTED = 64
@@ -157,7 +157,7 @@ class Lookup:
         def look_up(points: Floats) -> Float32s | None:
             answer = np.empty((len(points), components), np.float32)
             lost = np.empty((2, len(points)), np.int64)
-            task = *Positions.of(unlocked(points)), *fixed, answer, _NO_GRADIENTS
+            task = *positions(points), *fixed, answer, _NO_GRADIENTS
             is_all = _look_up_tiled(search, *task, NO_ADDITIONS, lost) == _ALL_FOUND
             return answer if is_all else None
 
@@ -177,7 +177,7 @@ class Lookup:
         if self._alpha is not None and not channel.is_alpha:
             alpha = self._alpha.codes
         coords, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
-        fault = to_coordinates(Positions.of(points), *self._placement, coords)
+        fault = to_coordinates(positions(points), *self._placement, coords)
         if fault >= 0:
             raise NotFiniteError(fault)
         keys = keys_of(coords, SORTED, NUMBER_BITS)
@@ -233,7 +233,7 @@ class Lookup:
                 slopes = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
                 normals = np.take(normals, which, axis=0) if len(normals) else normals
         lost = np.empty((2, len(points)), np.int64)
-        where = *Positions.of(unlocked(points)), *self._placement, unlocked(normals)
+        where = *positions(points), *self._placement, unlocked(normals)
         n_empty, n_rim, fault = _look_up_tiled(search, *where, self._channel, results, slopes, selected, lost)
         if fault >= 0:
             raise NotFiniteError(fault)
