@@ -72,6 +72,9 @@ def test_hidden_nodes_and_those_below_them_are_not_shown(tmp_path):
     gltf.json["extensionsRequired"] = ["KHR_node_visibility"]
     surface = load_surface(gltf.save(tmp_path / "a.glb"))
     np.testing.assert_array_equal(surface.bounds, [[0, 0, 5], [1, 1, 5]])
+    gltf.json["nodes"][nodes[0]]["children"] = 1
+    with pytest.raises(ModelError, match=rf"nodes\[{nodes[0]}\]: children must be a list of indices"):
+        load_surface(gltf.save(tmp_path / "b.glb"))
 
 
 @pytest.mark.parametrize("mode", [4, 5, 6])
